@@ -10,8 +10,6 @@
 
 #include "ft/core/error.hpp"
 #include "integration/orbslam3/executor_tracker.hpp"
-#if defined(__CUDACC__)
-#endif
 
 namespace ft {
 namespace orbslam3 {

@@ -33,7 +33,7 @@ camera_parameters parameters_of(Camera& camera) {
 inline constexpr int number_type = 5;  ///< CV_32FC1
 
 /// Reads mK and mDistCoef of a frame.
-/// @return whether the distortion is one that undistortion.hpp knows: none, or 4 or 5 coefficients
+/// @return whether the distortion is one that rigs.hpp knows: none, or 4 or 5 coefficients
 template <typename Frame>
 bool read_distortion(Frame const& frame, lens_distortion& d) {
   d = {};

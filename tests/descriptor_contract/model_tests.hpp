@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstring>
 #include <limits>
 #include <random>
 #include <string>
@@ -172,7 +173,9 @@ TYPED_TEST_P(descriptor_model, distances_are_the_same_bits_as_on_the_host) {
   std::size_t const n = rows.size();
   for (std::size_t i = 0; i < n; ++i) {
     for (std::size_t j = 0; j < n; ++j) {
-      ASSERT_EQ(got[i * n + j], row::distance(rows[i], rows[j])) << "rows " << i << " and " << j;
+      auto const here = row::distance(rows[i], rows[j]);
+      ASSERT_EQ(std::memcmp(&got[i * n + j], &here, sizeof here), 0)
+          << got[i * n + j] << " and " << here << " of rows " << i << " and " << j;
     }
   }
 }

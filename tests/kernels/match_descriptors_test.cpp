@@ -221,6 +221,33 @@ TYPED_TEST(MatchDescriptors, RowsThatAreNoNumbersMatchNothing) {
   }
 }
 
+TYPED_TEST(MatchDescriptors, AnInfiniteDistanceIsNoMatch) {
+  TypeParam backend;
+  using D = ft::vector_descriptor<float, 4, ft::dot_product>;
+  D const large{{1e20f, 1e20f, 1e20f, 1e20f}}, one{{1, 0, 0, 0}};
+  auto const got = test::matches_by(backend.exec, std::vector<D>{large, one},
+                                    std::vector<D>{large, one}, ft::match_tests<float>{});
+  EXPECT_EQ(got[0].nearest, 1) << "1 - infinity";
+  EXPECT_EQ(got[0].second, -1);
+  EXPECT_EQ(got[1].nearest, 0);
+}
+
+// Rows a little longer than 127: their distances are below 0.
+TYPED_TEST(MatchDescriptors, OfTwoThatAreAlikeNeitherIsClear) {
+  TypeParam backend;
+  using D = ft::vector_descriptor<std::int8_t, 4, ft::dot_product>;
+  D const row{{127, 1, 0, 0}}, other{{0, 0, 127, 0}};
+  ASSERT_LT(D::distance(row, row), 0);
+  auto const tests = ft::match_tests<int>::by(D::rules);
+  auto const two =
+      test::matches_by(backend.exec, std::vector<D>{row}, std::vector<D>{row, row}, tests);
+  EXPECT_EQ(two[0].nearest, 0);
+  EXPECT_EQ(two[0].index, -1);
+  auto const clear =
+      test::matches_by(backend.exec, std::vector<D>{row}, std::vector<D>{other, row}, tests);
+  EXPECT_EQ(clear[0].index, 1);
+}
+
 TYPED_TEST(MatchDescriptors, TheSameOnEveryRun) {
   TypeParam backend;
   using D = ft::vector_descriptor<ft::float16, 128>;
@@ -256,6 +283,13 @@ TYPED_TEST(MatchDescriptors, RefusesWhatCannotBe) {
   EXPECT_THROW(match(10, 20, {256, 9, 0, false}), ft::bad_argument);
   EXPECT_THROW(match(10, 20, {256, 0, 10, false}), ft::bad_argument);
   EXPECT_THROW(match(10, 20, {256, -9, 10, false}), ft::bad_argument);
+  auto const* const bytes = reinterpret_cast<unsigned char const*>(rows.data());
+  ft::descriptor_rows<D> const askew{reinterpret_cast<D const*>(bytes + 8), 5};
+  ft::descriptor_rows<D> const straight{rows.data(), 5};
+  EXPECT_THROW(ft::match_descriptors(backend.exec, askew, straight, {}, work.view(), out.data()),
+               ft::bad_argument);
+  EXPECT_THROW(ft::match_descriptors(backend.exec, straight, askew, {}, work.view(), out.data()),
+               ft::bad_argument);
   ft::carver measure;
   workspace none;
   EXPECT_THROW(carve(measure, none, -1, 5), ft::bad_argument);

@@ -256,6 +256,33 @@ TYPED_TEST(OdometryLoops, ASavedMapIsFoundFromAnywhere) {
   for (auto const& k : second.placed_keyframes()) { EXPECT_EQ(k.map, 1) << k.time_ns; }
 }
 
+// A file with loops, from the middle of a search: what they correct is known before a frame.
+TYPED_TEST(OdometryLoops, ASavedCorrectionIsThatOfThePrediction) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type>;
+  auto const rig = test::room::rig();
+  odometry first(backend.exec, rig, params(), 1, ft::loops{});
+  std::istringstream file(saved_after(first, rig, frames - 1));
+  auto const newest = first.placed_keyframes().back();
+  auto const correction =
+      (newest.T_world_camera * newest.T_odom_camera.inverse()).orthonormalized();
+  auto const last = [](odometry& odo, ft::rigid<double> const& T_world_camera) {
+    odo.predict(T_world_camera);
+    auto const& f = walk(odo.rig())[at(frames - 1)];
+    return odo.track({test::room::view(f.left), test::room::view(f.right)}, frames * period);
+  };
+  auto const T =
+      pose_at(0).inverse().template cast<double>() * pose_at(frames - 1).template cast<double>();
+  odometry second(backend.exec, rig, params(), 1, ft::loops{});
+  second.load_map(file);
+  ft::tracking const t = last(second, T);
+  EXPECT_EQ(t.state, ft::tracking_state::tracking);
+  EXPECT_EQ(t.maps, 1);
+  EXPECT_TRUE(same(t.T_world_odom, correction)) << "the one that was saved";
+  EXPECT_FALSE(same(t.T_world_odom, ft::rigid<double>::identity()));
+  EXPECT_LT(off(t.T_world_camera, frames - 1), 0.03);
+}
+
 TYPED_TEST(OdometryLoops, ADamagedFileChangesNothing) {
   TypeParam backend;
   using odometry = ft::odometry<typename TypeParam::exec_type>;

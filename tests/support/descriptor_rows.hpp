@@ -54,10 +54,10 @@ std::vector<D> random_rows(generator& random, int count) {
   return rows;
 }
 
-/// False for NaN and infinity.
+/// False for NaN and infinities.
 template <typename Distance>
 bool is_usable(Distance d) {
-  return d <= std::numeric_limits<Distance>::max();
+  return d <= std::numeric_limits<Distance>::max() && d >= std::numeric_limits<Distance>::lowest();
 }
 
 template <typename D>
@@ -84,8 +84,8 @@ std::vector<ft::descriptor_match<Distance>> plain_matches(
     Distance const d = best < 0 ? 0 : row[at(best)], other = second < 0 ? 0 : row[at(second)];
     bool accepted = best >= 0 && d <= tests.most;
     if (accepted && tests.ratio_den != 0 && second >= 0) {
-      accepted = static_cast<Distance>(tests.ratio_den) * d <
-                 static_cast<Distance>(tests.ratio_num) * other;
+      accepted = static_cast<Distance>(tests.ratio_den) * std::max(d, Distance{}) <
+                 static_cast<Distance>(tests.ratio_num) * std::max(other, Distance{});
     }
     if (accepted && tests.mutual) {
       int const back =

@@ -39,8 +39,8 @@ FT_HOST_DEVICE FT_INLINE int ones_by_adders(std::uint32_t const (&d)[4]) {
 
 }  // namespace detail
 
-/// Bits, compared by Hamming's distance. Bit i of byte 8j+i is bit i of word j/4. Bits of the last
-/// word past the last one do not count. ORB's is binary_descriptor<256>.
+/// Bits, compared by Hamming's distance. Bit i of byte j is bit 8 (j % 4) + i of word j / 4. Bits
+/// of the last word past the last one do not count. ORB's is binary_descriptor<256>.
 /// @tparam Bits any multiple of 8
 template <int Bits>
 struct alignas(detail::row_alignment((Bits + 31) / 32 * 4, 4)) binary_descriptor {

@@ -13,7 +13,8 @@
 ///
 /// It is trivially copyable and has no default values. distance() is symmetric, smaller for what
 /// is more alike, and the same on host and device: of integers, or of floats in strict arithmetic
-/// (core/arithmetic.hpp). A distance that is not a number, or infinite, is no match.
+/// (core/arithmetic.hpp). A distance that is not a number, or infinite, is no match; nor is
+/// an int's largest one.
 ///
 /// A distance that is a sum over parts of the rows may say so. Kernels then keep parts in shared
 /// memory, and each is read once for many pairs; for descriptors above 64 bytes that is faster.
@@ -22,7 +23,7 @@
 ///       static constexpr int parts;            // of a row
 ///       static constexpr bool uses_own_sums;   // whether distance_of() reads aa and bb
 ///       using part = ...;                      // up to 128 bytes, without default values
-///       using sum = ...;                       // sum{} is that of no parts
+///       using sum = ...;                       // likewise; sum{} is that of no parts
 ///       FT_HOST_DEVICE static part part_of(my_descriptor const& row, int i);
 ///       FT_HOST_DEVICE static void add(sum& s, part const& a, part const& b);
 ///       FT_HOST_DEVICE static int distance_of(sum const& ab, sum const& aa, sum const& bb);
@@ -95,6 +96,13 @@ inline constexpr bool
         (std::is_same<descriptor_comparison<D>, int>::value ||
          std::is_same<descriptor_comparison<D>, float>::value);
 
+template <typename D, bool = descriptor_has<descriptor_sums, D>>
+inline constexpr bool has_plain_parts = true;
+template <typename D>
+inline constexpr bool has_plain_parts<D, true> =
+    is_plain_row<typename D::part>&& is_plain_row<typename D::sum> &&
+    sizeof(typename D::part) <= 128 && sizeof(typename D::sum) <= 128;
+
 /// Whether a model has all that its parts need, or no parts.
 template <typename D>
 inline constexpr bool has_whole_parts =
@@ -120,6 +128,8 @@ struct assert_descriptor_model {
   static_assert(detail::has_whole_parts<D>,
                 "a descriptor with parts needs: part, sum, uses_own_sums, part_of(), add() and "
                 "distance_of()");
+  static_assert(detail::has_plain_parts<D>,
+                "part and sum have at most 128 bytes each, and no default values");
   /// Always true: if the contract is not met, the assertions above are the error.
   static constexpr bool value = true;
 };

@@ -51,7 +51,7 @@ inline std::vector<std::string> imu_warnings(imu_tracking const& t, imu_params c
   double const off = clock.offset_s - params.time_offset_s;
   if (corrected || (clock.known && std::abs(off) > std::fmax(4 * clock.sigma_s, least_s))) {
     // In whole milliseconds, so that the sentence does not change with every frame.
-    double const ms = std::round(1e3 * (clock.known ? clock.offset_s : t.time_offset_s));
+    double const ms = std::round(1e3 * (corrected ? t.time_offset_s : clock.offset_s));
     out.push_back("the IMU's clock is " + text(std::abs(ms)) + " ms " +
                   (ms < 0 ? "behind" : "ahead of") + " that of the images, time_offset_s says " +
                   text(1e3 * params.time_offset_s) + " ms");

@@ -90,7 +90,9 @@ public:
            Plugged const&... plugged)
       : engine_(std::make_unique<engine>(exec, rig, params, batch, plugged...)) {
     static_assert((0 + ... + int{std::is_same<Plugged, inertial>::value}) <= 1 &&
-                      (0 + ... + int{std::is_same<Plugged, places>::value}) <= 1,
+                      (0 + ... + int{std::is_same<Plugged, places>::value}) <= 1 &&
+                      (0 + ... + int{std::is_same<Plugged, loops>::value}) <= 1 &&
+                      (0 + ... + int{std::is_same<Plugged, own_features>::value}) <= 1,
                   "a part is plugged in once");
   }
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params)
@@ -297,7 +299,7 @@ public:
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
     if constexpr (engine::stages_type::starts_from_motion) { p.stages.beginning.forget(p.exec, b); }
-    for (auto const& part : p.stages.plugged) { part->forget(p.exec, b); }
+    for (auto const& part : p.stages.plugged) { part->forget(p.exec, b, p.results[i]); }
     p.begun[i] = 0;
     p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
   }

@@ -116,6 +116,7 @@ public:
   /// @param t the rest is known @param first 1st frame of a camera
   void judge(tracking& t, std::int64_t time_ns, bool first, odometry_params const& params) {
     if (first) { *this = {}; }
+    if (t.map_begun) { errors_ = disparities_ = {}; }
     warning_limits const limits{};
     tracking_evidence& e = t.evidence;
     if (t.keypoints > 0) {
@@ -212,8 +213,9 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              " are asked for, and of the variance of errors neighbours share " +
              detail::share_of(f.common, 1024) + ", of " +
              detail::share_of(warning_limits{}.common_errors, 1) +
-             " at most, or a lost camera was found again; in this frame or one of the second "
-             "before";
+             " at most, or a lost camera was found again; in this frame or in the last second, "
+             "or " +
+             "they shared more once and half of that since";
     case tracking_warning::two_motions:
       return std::to_string(f.dragged) + " keypoints are fixed to the camera while it moves, or " +
              detail::share_of(e.moved, e.textured) + " of the images changed while " +

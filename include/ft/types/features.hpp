@@ -34,8 +34,8 @@ struct image_features {
   // Of the left image of a rectified pair, or the image of an rgbd_rig. With one of these, partners
   // are not searched and the right image's features are not read.
 
-  /// [count] column in the right image, pixels; NaN, negative or not left of the keypoint's column:
-  /// no partner. Not of an rgbd_rig
+  /// [count] column in the right image, pixels; NaN, negative, not left of the keypoint's column,
+  /// or before the first pixel of its octave's level: no partner. Not of an rgbd_rig
   float const* right_x = nullptr;
   /// [count] along the camera's axis, metres; 0, negative, infinite or NaN: no depth. The one that
   /// is null of both follows from the other.
@@ -64,7 +64,8 @@ struct given_features {
 /// Of a rectified_rig, an rgbd_rig or a monocular_rig; others throw bad_argument: keypoints of a
 /// distorted_pair are found in rectified images and given to a rectified_rig. A left keypoint
 /// without given partner gets the right one with the nearest descriptor among those of its rows
-/// and octave; without an image the columns stay as they are given. Mixes with track() of images.
+/// and octaves, one more or less, up to the disparity of a point a baseline away; without an image
+/// the columns stay as they are given. Mixes with track() of images.
 struct own_features {};
 
 }  // namespace v0

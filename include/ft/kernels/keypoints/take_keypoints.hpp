@@ -93,7 +93,10 @@ struct take_partner {
         right = at.right_of(from.right_x[item]);
       }
       if ((given & taken_keypoints_view::has_depth) != 0) { depth = at.depth_of(from.depth[item]); }
-      if (given == taken_keypoints_view::has_right) { depth = at.depth_at(right, bf); }
+      if (given == taken_keypoints_view::has_right) {
+        depth = at.depth_at(right, bf);
+        right = depth > 0 ? right : -1;
+      }
       if (given == taken_keypoints_view::has_depth) { right = at.right_at(depth, bf); }
     }
     out.right_x(item) = right;
@@ -124,6 +127,7 @@ private:
       if (of_levels) { return (bf / (strict_float(x) - right)).value; }
       strict_float const disparity =
           strict_float(geometry.column(x, octave)) - geometry.column(right, octave);
+      if (!(disparity > strict_float(0.0f))) { return -1; }
       return geometry.level_depth((bf / disparity).value, octave);
     }
     /// Below 0 where a virtual right camera does not see the point.

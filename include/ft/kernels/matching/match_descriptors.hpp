@@ -63,15 +63,25 @@ private:
   FT_HOST_DEVICE static bool is_clear(two_nearest_rows<distance_type> const& best,
                                       match_tests<distance_type> const& tests) {
     if (tests.ratio_den == 0 || best.second.index == no_row) { return true; }
+    // Dot products of rows a little longer than 1 give distances below 0.
+    distance_type const first = max_of(best.first.distance, distance_type{});
+    distance_type const second = max_of(best.second.distance, distance_type{});
     if constexpr (std::is_same<distance_type, int>::value) {
-      return static_cast<long long>(tests.ratio_den) * best.first.distance <
-             static_cast<long long>(tests.ratio_num) * best.second.distance;
+      return static_cast<long long>(tests.ratio_den) * first <
+             static_cast<long long>(tests.ratio_num) * second;
     } else {
-      return mul(static_cast<float>(tests.ratio_den), best.first.distance) <
-             mul(static_cast<float>(tests.ratio_num), best.second.distance);
+      return mul(static_cast<float>(tests.ratio_den), first) <
+             mul(static_cast<float>(tests.ratio_num), second);
     }
   }
 };
+
+template <typename D>
+void check_rows(char const* name, descriptor_rows<D> const& rows, int most) {
+  require_range(name, rows.capacity, 0, most);
+  require(reinterpret_cast<std::uintptr_t>(rows.row) % alignof(D) == 0,
+          "rows of descriptors are not aligned as their type is");
+}
 
 template <typename Distance>
 void check_tests(match_tests<Distance> const& tests) {
@@ -90,8 +100,8 @@ void check_tests(match_tests<Distance> const& tests) {
 /// executor. Asynchronous on `exec`; allocates nothing; two launches, O(query * train).
 /// @tparam D a descriptor (descriptors/descriptor_model.hpp)
 /// @param out [query.capacity] executor memory; rows past the count have found nothing
-/// @throws bad_argument for more rows than there is working memory for, and tests that contradict
-///   themselves
+/// @throws bad_argument for more rows than there is working memory for, rows that are not aligned,
+///   and tests that contradict themselves
 template <typename Exec, typename D>
 void match_descriptors(Exec const& exec, descriptor_rows<D> const& query,
                        descriptor_rows<D> const& train,
@@ -99,8 +109,8 @@ void match_descriptors(Exec const& exec, descriptor_rows<D> const& query,
                        match_workspace<descriptor_distance<D>> const& work,
                        descriptor_match<descriptor_distance<D>>* out) {
   static_assert(assert_descriptor_model<D>::value, "a descriptor keeps its contract");
-  detail::require_range("query rows", query.capacity, 0, work.queries);
-  detail::require_range("train rows", train.capacity, 0, work.trains);
+  detail::check_rows("query rows", query, work.queries);
+  detail::check_rows("train rows", train, work.trains);
   detail::check_tests(tests);
   if (query.capacity == 0) { return; }
   if (train.capacity > 0) {

@@ -17,7 +17,7 @@ inline namespace FT_ABI {
 /// Descriptors, in executor memory. @tparam D a descriptor
 template <typename D>
 struct descriptor_rows {
-  D const* row = nullptr;      ///< [capacity]
+  D const* row = nullptr;      ///< [capacity], aligned to alignof(D)
   int capacity = 0;            ///< rows that there may be
   int const* count = nullptr;  ///< how many there are, executor memory; null = capacity
 
@@ -32,7 +32,8 @@ template <typename Distance>
 struct match_tests {
   Distance most = std::numeric_limits<Distance>::max();  ///< greatest distance
   int ratio_num = 0;    ///< the distance must be below ratio_num / ratio_den of the second best;
-  int ratio_den = 0;    ///< 0 and 0: no such test. A row without a second best passes.
+  int ratio_den = 0;    ///< 0 and 0: no such test. A row without a second best passes. Distances
+                        ///< below 0 are taken for 0.
   bool mutual = false;  ///< the train row's best, of equals the lowest, must be the query row
 
   /// The tests of a descriptor's rules.
@@ -59,6 +60,16 @@ inline constexpr Distance no_distance = std::numeric_limits<Distance>::has_infin
                                             ? std::numeric_limits<Distance>::infinity()
                                             : std::numeric_limits<Distance>::max();
 inline constexpr int no_row = 0x7fffffff;
+
+/// The distance, or none for one that is not a number, or infinite.
+template <typename Distance>
+FT_HOST_DEVICE FT_INLINE Distance usable_distance(Distance d) {
+  if constexpr (std::is_floating_point<Distance>::value) {
+    return d - d == 0 ? d : no_distance<Distance>;
+  } else {
+    return d;
+  }
+}
 
 /// The nearest row so far, of equals the lowest.
 template <typename Distance>

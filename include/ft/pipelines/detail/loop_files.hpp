@@ -23,6 +23,7 @@
 
 #include "ft/containers/columns.hpp"
 #include "ft/containers/loop_archive.hpp"
+#include "ft/containers/pose_graph.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/detail/read_stream.hpp"
 #include "ft/core/error.hpp"
@@ -130,6 +131,7 @@ public:
     if (hash != fnv1a(file_.data.get(), file_.size, fnv1a_start)) {
       throw error("ft: the loops of the map file are damaged");
     }
+    if (bytes_left(from) != 0) { throw error("ft: the map file has bytes after its end"); }
   }
   template <typename T>
   void take(T* to, std::size_t n) {
@@ -147,10 +149,10 @@ private:
 };
 
 inline void check_saved_information(double const (&information)[21]) {
-  for (int i = 0, at = 0; i < 6; at += 6 - i, ++i) {
-    require_saved("an information of an edge", information[at], 0.0, 1e30);
-  }
   for (double const v : information) { require_saved("an information of an edge", v, -1e30, 1e30); }
+  if (!is_semidefinite<6>(information)) {
+    throw error("ft: the map file has an information of an edge that is not semidefinite");
+  }
 }
 
 /// @param cameras of the rig
@@ -190,19 +192,24 @@ saved_loops<Exec> read_loops(loop_archive_view const& like, int most, int most_l
   auto const get = [&in](auto&... values) { (in.take(&values, 1), ...); };
   saved_loops<Exec> to(like);
   loop_archive_view const& a = to.archive.view();
-  int keyframes = 0, loops = 0;
+  int keyframes = 0, loops = 0, steps = 0;
   get(keyframes, loops, to.gravity);
   require_saved("keyframes of loops", keyframes, 0, most);
   require_saved("loops", loops, 0, most_loops);
   double const gravity[3] = {to.gravity.x, to.gravity.y, to.gravity.z};
   for (double const g : gravity) { require_saved("gravity", g, -1e3, 1e3); }
+  double const square = dot(to.gravity, to.gravity);
+  require_saved("squared gravity", square, square > 0 ? 1e-12 : 0.0, 1e7);
   for (int i = 0; i < keyframes; ++i) {
     path_keyframe k;
     each_number(k, get);
     k.row = i;
-    require_saved("the number of a map", k.map, -most_counted, most_counted);
-    require_saved("the number of a part", k.part, -most_counted, most_counted);
-    require_saved("the steps of a keyframe", k.steps, 1, most_counted);
+    constexpr int most_maps = most_counted / 2;
+    int const least_map = to.keyframes.empty() ? -most_maps : to.keyframes.back().map;
+    require_saved("the number of a map", k.map, least_map, most_maps);
+    require_saved("the number of a part", k.part, -most_maps, k.map);
+    require_saved("the steps of a keyframe", k.steps, 1, most_counted - steps);
+    steps += k.steps;
     require_saved("the path to a keyframe", k.path, 0.0, 1e12);
     check_saved_pose(k.T_odom_camera);
     check_saved_pose(k.T_world_camera);
@@ -216,8 +223,8 @@ saved_loops<Exec> read_loops(loop_archive_view const& like, int most, int most_l
   for (int i = 0; i < loops; ++i) {
     path_loop l;
     each_number(l, get);
-    require_saved("the begin of a loop", l.from, 0, keyframes - 1);
-    require_saved("the end of a loop", l.to, 0, keyframes - 1);
+    require_saved("the end of a loop", l.to, 1, keyframes - 1);
+    require_saved("the begin of a loop", l.from, 0, l.to - 1);
     check_saved_pose(l.T_from_to);
     check_saved_information(l.information);
     to.loops.push_back(l);

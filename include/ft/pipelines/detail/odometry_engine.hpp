@@ -150,8 +150,11 @@ struct odometry_engine {
     prefetch->for_each_set(stages, [&] { record_extents(); });
   }
 
-  /// @throws bad_argument for a time that is not after the camera's last one
+  /// What has to be right before a frame changes anything.
+  /// @throws bad_argument for a time that is not after the camera's last one; what parts have to
+  ///   throw
   void require_later(std::int64_t const* time_ns) const {
+    for (auto const& part : stages.plugged) { part->rethrow(); }
     for (int b = 0; b < stages.batch; ++b) {
       auto const i = static_cast<std::size_t>(b);
       if (begun[i] != 0 && time_ns[b] <= times[i]) {
@@ -233,7 +236,11 @@ private:
     return exec;
   }
   void plug(std::unique_ptr<odometry_part<Exec, Rig>> part) {
-    if (part != nullptr) { stages.plugged.push_back(std::move(part)); }
+    if (part == nullptr) { return; }
+    // An IMU is the first one: others ask what it knows.
+    bool const is_first = part->samples(0) != nullptr;
+    auto const at = is_first ? stages.plugged.begin() : stages.plugged.end();
+    stages.plugged.insert(at, std::move(part));
   }
 
   void set_inputs(std::int64_t const* time_ns) {

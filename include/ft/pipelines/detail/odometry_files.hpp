@@ -221,6 +221,9 @@ void load_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
   clear_unused(host.view());
   check_saved_points(host.view());
   check_saved_keyframes(host.view(), levels);
+  if (follow) {
+    require_saved("keyframes of a map with loops", *host.view().keyframes.made, 1, most_counted);
+  }
   read_loops(follow);
   host.upload(exec, map, b);
   fill_bytes(exec, map.records.found_frame + map.records.at(b, 0), 0,

@@ -74,7 +74,7 @@ public:
   }
 
   /// Forgets what is known about the IMU of camera pair b. Waits.
-  void forget(Exec const& exec, int b) override {
+  void forget(Exec const& exec, int b, tracking&) override {
     queue(b).clear();
     outputs_[b] = inertial_track::initial();
     copy(exec, view_.tracks + b, static_cast<inertial_track const*>(outputs_ + b), std::size_t{1});

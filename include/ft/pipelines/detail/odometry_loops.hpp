@@ -241,14 +241,11 @@ public:
     }
     begin();
   }
-  void before_frame(int, bool, std::int64_t, std::int64_t) override {
+  void rethrow() override {
     if (failure_) { std::rethrow_exception(std::exchange(failure_, nullptr)); }
   }
   void describe(int, std::int64_t, tracking& t) override {
-    // Corrections with known gravity turn about it, so it is the same in the world.
-    // What a file says of the world stays: the odometry's own frame is another one until it joins.
-    bool const same = !loaded_ && (!corrected_ || knows_gravity());
-    if (t.imu.known && same) { path_.gravity = t.imu.gravity; }
+    if (t.imu.known && of_first_part()) { path_.gravity = T_world_odom_.R * t.imu.gravity; }
     t.T_world_odom = T_world_odom_;
     if (corrected_) { t.T_world_camera = (T_world_odom_ * t.T_odom_camera).orthonormalized(); }
     t.loops_closed = closed_now_;
@@ -261,12 +258,13 @@ public:
     saved_.reset();
     if (from == nullptr) { return; }
     saved_ = std::make_unique<saved_loops<Exec>>(
-        read_loops<Exec>(archive_.view(), params_.keyframes, path_.most_loops(),
+        read_loops<Exec>(archive_.view(), params_.keyframes + margin / 2, path_.most_loops(),
                          keyframe_task<searched_rig>::depth_cameras, *from));
   }
-  void forget(Exec const& exec, int) override {
+  void forget(Exec const& exec, int, tracking& last) override {
     forget_all();
     if (saved_ != nullptr) { enter(exec, *std::exchange(saved_, nullptr)); }
+    last.T_world_odom = T_world_odom_;
   }
   void list_placed(std::vector<placed_keyframe>& to) const override {
     for (path_keyframe const& k : path_.keyframes) {
@@ -279,7 +277,10 @@ public:
   }
 
 private:
-  bool knows_gravity() const { return dot(path_.gravity, path_.gravity) > 0; }
+  /// Whether the camera is where the path begins, not in a map that waits to be joined.
+  bool of_first_part() const {
+    return path_.size() == 0 || path_.keyframes.back().part == path_.keyframes.front().part;
+  }
   void keep(Exec const& exec, stages_type const& stages, odometry_output const& out) {
     if (free_.empty()) { return; }  // cannot be: a search takes fewer frames than there is margin
     path_keyframe k;
@@ -351,13 +352,12 @@ private:
     path_.gravity = from.gravity;
     searched_ = path_.size();
     T_world_odom_ = path_.T_world_odom();
-    corrected_ = !path_.loops.empty();
-    loaded_ = path_.size() > 0;
+    corrected_ = path_.size() > 0;
   }
   void forget_all() {
     if (running_) { finish(); }
     failure_ = nullptr;
-    corrected_ = loaded_ = false;
+    corrected_ = false;
     path_.clear();
     free_.clear();
     for (int i = archive_->rows - 1; i >= 0; --i) { free_.push_back(i); }
@@ -379,7 +379,6 @@ private:
   std::exception_ptr failure_;                ///< of a search
   std::unique_ptr<saved_loops<Exec>> saved_;  ///< that were read, and enter with forget()
   bool corrected_ = false;                    ///< T_world_odom_ is not the identity
-  bool loaded_ = false;                       ///< the first keyframes are those of a file
   std::unique_ptr<work_beside<host_exec, search_type>> beside_;  ///< last: it uses the archive
 };
 

@@ -58,6 +58,8 @@ public:
 
   // ---- calls of the host
 
+  /// Before anything of a frame changes. @throws what work beside the frames has thrown
+  virtual void rethrow() {}
   /// Before a frame of camera pair b. @param begun whether there was a frame before it
   virtual void before_frame(int /*b*/, bool /*begun*/, std::int64_t /*from_ns*/,
                             std::int64_t /*to_ns*/) {}
@@ -73,8 +75,9 @@ public:
   virtual void read(std::istream*) {}
   /// Camera pair b begins anew.
   virtual void reset(int /*b*/) {}
-  /// Camera pair b got another map. May wait.
-  virtual void forget(Exec const&, int /*b*/) {}
+  /// Camera pair b got another map. May wait. @param last gets where the map's frame is, if that
+  /// is not the world's
+  virtual void forget(Exec const&, int /*b*/, tracking& /*last*/) {}
   /// Takes the features of the next frame of camera pair b; false if this part takes none.
   /// @throws bad_argument
   virtual bool take_features(int /*b*/, given_features const&) { return false; }

@@ -135,7 +135,7 @@ public:
   }
 
   /// Forgets the keyframes of camera b.
-  void forget(Exec const& exec, int b) override {
+  void forget(Exec const& exec, int b, tracking&) override {
     clear(exec, memory_->keyframes.slice(b).database);
   }
   allocated_bytes bytes() const override {

@@ -130,7 +130,7 @@ private:
     }
     sum const* const sums[match_own] = {&s0, &s1, &s2, &s3};
     for (int r = 0; r < count; ++r) {
-      distance_type const d = reader::distance_of(*sums[r], mine.own[r], own);
+      distance_type const d = usable_distance(reader::distance_of(*sums[r], mine.own[r], own));
       mine.best[r].add(d, j);
       if (in.of_train != nullptr) { in.of_train[j].add(d, i + r); }
     }
@@ -165,8 +165,8 @@ private:
           FT_UNROLL
           for (int r = 0; r < match_own; ++r) {
             int const i = q + line + r * match_step;
-            distance_type const d =
-                reader::distance_of(sums[r][c], own_sum(s, 0, i - q), own_sum(s, 1, j - t));
+            distance_type const d = usable_distance(
+                reader::distance_of(sums[r][c], own_sum(s, 0, i - q), own_sum(s, 1, j - t)));
             best[r].add(j < in.last_train ? d : no_distance<distance_type>, j);
             of_train[c].add(i < in.last_query ? d : no_distance<distance_type>, i);
           }

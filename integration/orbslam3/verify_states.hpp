@@ -30,6 +30,14 @@ auto tracked_members(MapPoint& p) {
 
 /// Their values.
 struct tracked_values {
+private:
+  template <typename Self>
+  static auto members(Self& t) {
+    return std::tie(t.in_view, t.in_view_right, t.level, t.level_right, t.x, t.y, t.depth, t.cosine,
+                    t.right_x, t.right_y, t.depth_right, t.cosine_right);
+  }
+
+public:
   bool in_view, in_view_right;
   int level, level_right;
   float x, y, depth, cosine, right_x, right_y, depth_right, cosine_right;
@@ -61,13 +69,6 @@ struct tracked_values {
       to.add("right distance of point", at, depth_right, allowed.depth);
       to.add("right cosine of point", at, cosine_right, allowed.cosine);
     }
-  }
-
-private:
-  template <typename Self>
-  static auto members(Self& t) {
-    return std::tie(t.in_view, t.in_view_right, t.level, t.level_right, t.x, t.y, t.depth, t.cosine,
-                    t.right_x, t.right_y, t.depth_right, t.cosine_right);
   }
 };
 

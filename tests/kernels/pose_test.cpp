@@ -349,7 +349,7 @@ protected:
   void check_bad_observation_is_flagged() {
     auto const rig = example_rig<Rig>();
     auto const s = make_scene(rig, 100, 0, 4);
-    for (std::size_t const at : {0, 1, 99}) {
+    for (std::size_t const at : {0u, 1u, 99u}) {
       for (auto const& bad : bad_observations<Rig>(s.observations[at])) {
         auto copy = s;
         auto const r = solve_with<Rig>(copy, at, bad);

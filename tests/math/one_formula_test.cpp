@@ -321,7 +321,7 @@ TYPED_TEST(one_formula, eigenvectors_by_a_group) {
   ft::for_each_item<ft::per_block<64>>(backend.exec, count, group_diagonalize{}, n, a.data(),
                                        v.data());
   auto const back = [&](double const* from) {
-    return test::from_exec(backend.exec, from, static_cast<int>(in.size()));
+    return test::from_exec(backend.exec, from, in.size());
   };
   auto const values = back(a.data());
   auto const vectors = back(v.data());

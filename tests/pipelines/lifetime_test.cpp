@@ -19,6 +19,7 @@
 #include "ft/containers/feature_grid.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/effort.hpp"
 #include "tests/support/random.hpp"
 #include "tests/support/tracking.hpp"
 
@@ -191,7 +192,7 @@ TYPED_TEST(lifetime, owners_may_go_in_any_order) {
 
 // ---- memory -----------------------------------------------------------------------------------
 
-#if !defined(__SANITIZE_ADDRESS__)  // which ends the program instead of throwing
+#if !FT_TEST_ASAN  // which ends the program instead of throwing
 /// Lets the process have that much more memory and no more, also where the system promises memory
 /// that it has not.
 class memory_limit {

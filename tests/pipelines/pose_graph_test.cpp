@@ -253,7 +253,7 @@ TYPED_TEST(pose_graphs, fixed_poses_and_parts_stay) {
     auto const report = this->optimize(moved, start);
     EXPECT_TRUE(report.converged);
     EXPECT_TRUE(report.started);
-    for (std::size_t const i : {7, 31, 50, 53}) {
+    for (std::size_t const i : {7u, 31u, 50u, 53u}) {
       EXPECT_EQ(distance(moved.T_world_pose[i], graph.T_world_pose[i]), 0) << i;
     }
     auto const left = moved.T_world_pose[51] * graph.edges[graph.edges.size() - 2].T_from_to;

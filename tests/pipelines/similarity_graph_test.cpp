@@ -297,7 +297,7 @@ TYPED_TEST(similarity_graphs, fixed_poses_keep_their_scales) {
     auto const report = this->optimize(moved, start);
     EXPECT_TRUE(report.converged);
     EXPECT_TRUE(report.started);
-    for (std::size_t const i : {7, 31}) {
+    for (std::size_t const i : {7u, 31u}) {
       EXPECT_EQ(distance(moved.T_world_pose[i], graph.T_world_pose[i]), 0) << i;
     }
     EXPECT_NE(moved.T_world_pose[20].scale, graph.T_world_pose[20].scale);

@@ -1,10 +1,27 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The share of a long test to run.
+/// @file The share of a long test to run, and what the test is built with.
 #pragma once
 
 #include <algorithm>
 #include <cstdlib>
 #include <vector>
+
+/// FT_TEST_ASAN, FT_TEST_TSAN: whether AddressSanitizer or ThreadSanitizer is compiled in.
+#if defined(__has_feature)
+#define FT_TEST_FEATURE(name) __has_feature(name)
+#else
+#define FT_TEST_FEATURE(name) 0
+#endif
+#if defined(__SANITIZE_ADDRESS__) || FT_TEST_FEATURE(address_sanitizer)
+#define FT_TEST_ASAN 1
+#else
+#define FT_TEST_ASAN 0
+#endif
+#if defined(__SANITIZE_THREAD__) || FT_TEST_FEATURE(thread_sanitizer)
+#define FT_TEST_TSAN 1
+#else
+#define FT_TEST_TSAN 0
+#endif
 
 namespace test {
 

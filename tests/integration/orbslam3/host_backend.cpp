@@ -3,13 +3,14 @@
 
 #include "integration/orbslam3/executor_tracker.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
+#include "tests/support/effort.hpp"
 
 namespace orbslam3_test {
 
 /// ThreadSanitizer does not see how the oneTBB library, which is not built with it, orders its
 /// workers: every access in a parallel loop would be reported. One thread uses no pool, and leaves
 /// what the shim itself shares between threads.
-#if defined(__SANITIZE_THREAD__)
+#if FT_TEST_TSAN
 inline constexpr int host_threads = 1;
 #else
 inline constexpr int host_threads = 0;

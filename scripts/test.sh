@@ -193,7 +193,7 @@ configure_build() {
     -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 -DFT_TESTS_ONCE=$once \
     -DFT_TEST_SHARDS=$((2 * jobs)) "${cuda[@]}"
 }
-quick_tests=(stage_tests_host contract_tests_host conformance)
+quick_tests=(stage_tests_host optimized_tests_host contract_tests_host conformance)
 build_host() {
   local targets=(ft_host_tests)
   if ((quick)); then targets=("${quick_tests[@]}"); fi

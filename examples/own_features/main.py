@@ -16,11 +16,12 @@ import numpy as np
 import ft
 
 # Of each the odometry's descriptors, the size of a keypoint whose position has a standard deviation of a pixel (None: its
-# octave tells), and the detector of n keypoints.
+# octave tells), and the detector of n keypoints: with thresholds below OpenCV's defaults, by which images of little contrast
+# have too few.
 DETECTORS = {
-    "ORB": ("orb", None, lambda n: cv2.ORB_create(n, scaleFactor=1.2, nlevels=8)),
-    "AKAZE": ("bits_512", 4.8, lambda n: cv2.AKAZE_create()),
-    "SIFT": ("int8_128", 3.2, lambda n: cv2.SIFT_create(n)),
+    "ORB": ("orb", None, lambda n: cv2.ORB_create(n, scaleFactor=1.2, nlevels=8, fastThreshold=7)),
+    "AKAZE": ("bits_512", 4.8, lambda n: cv2.AKAZE_create(threshold=1e-4)),
+    "SIFT": ("int8_128", 3.2, lambda n: cv2.SIFT_create(n, contrastThreshold=0.02)),
 }
 
 

@@ -453,6 +453,12 @@ TYPED_TEST(odometry_features, refuses_what_it_cannot_take_and_goes_on) {
     f.left.octave = nullptr;
     f.left.deviation = none.data();
   });
+  for (float const z : {1e10f, 1e15f, 3e38f}) {
+    refused("depth 5 is ", [&](given_type& f, pair_features& c) {
+      c.left.depth[5] = z;
+      f.left.depth = c.left.depth.data();
+    });
+  }
   refused("belong to the left image",
           [&](given_type& f, pair_features&) { f.right.depth = none.data(); });
   EXPECT_THROW(odo.track(given[1].without_partners(), time_of(0)), ft::bad_argument) << "a time";

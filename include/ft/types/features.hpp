@@ -38,8 +38,8 @@ struct image_features {
   /// [count] column in the right image, pixels; NaN, negative, not left of the keypoint's column,
   /// or before the first pixel of its octave's level: no partner. Not of an rgbd_rig
   float const* right_x = nullptr;
-  /// [count] along the camera's axis, metres; 0, negative, infinite or NaN: no depth. The one that
-  /// is null of both follows from the other.
+  /// [count] along the camera's axis, metres, below 1e10; 0, negative, infinite or NaN: no depth.
+  /// The one that is null of both follows from the other.
   float const* depth = nullptr;
 
   /// How positions and right columns are counted. False: where the image has them. True: in the

@@ -377,7 +377,8 @@ TYPED_TEST(odometry_features, beyond_the_capacity_are_the_best_by_score_and_the_
 TYPED_TEST(odometry_features, partners_that_are_none_have_no_depth) {
   TypeParam backend;
   using exec_type = typename TypeParam::exec_type;
-  auto const given = extract(backend.exec, test::room::rig(), {walk()[0]})[0].left;
+  auto given = extract(backend.exec, test::room::rig(), {walk()[0]})[0].left;
+  given.positions[0] = 1e-12f;
   ft::odometry<exec_type, ft::rectified_rig> odo(backend.exec, test::room::rig(), params(), 1,
                                                  ft::own_features{});
   float const inf = std::numeric_limits<float>::infinity();
@@ -390,6 +391,7 @@ TYPED_TEST(odometry_features, partners_that_are_none_have_no_depth) {
     right[i] = rights[i % 6];
     depth[i] = depths[i % 6];
   }
+  right[0] = 0;  // the depth would be 7e13 m
   ft::given_features f{given.view(), {}};
   f.left.right_x = right.data();
   odo.track(f, time_of(0));

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file What the units of the library make: those of the C++ compiler in `host`, those of nvcc in
-/// `cuda`.
+/// `cuda`; of another descriptor with its name.
 #pragma once
 
 #include "ft/any_odometry.hpp"
+#include "ft/core/config.hpp"
 
-#if defined(__CUDACC__)
-#define FT_LIBRARY_DEVICE cuda
+#if defined(FT_DESCRIPTOR)
+#define FT_LIBRARY_DEVICE FT_JOINED(FT_BACKEND, _, FT_DESCRIPTOR)
 #else
-#define FT_LIBRARY_DEVICE host
+#define FT_LIBRARY_DEVICE FT_BACKEND
 #endif
 
 namespace ft::library {
@@ -32,5 +33,16 @@ struct odometry_request {
 FT_LIBRARY_FACTORIES(host)
 FT_LIBRARY_FACTORIES(cuda)
 #undef FT_LIBRARY_FACTORIES
+
+// The units with FT_DESCRIPTOR.
+#define FT_LIBRARY_DESCRIBED(where)                     \
+  namespace where {                                     \
+  any_odometry make_described(odometry_request const&); \
+  }
+FT_LIBRARY_DESCRIBED(host_ft_bits_512)
+FT_LIBRARY_DESCRIBED(cuda_ft_bits_512)
+FT_LIBRARY_DESCRIBED(host_ft_int8_128)
+FT_LIBRARY_DESCRIBED(cuda_ft_int8_128)
+#undef FT_LIBRARY_DESCRIBED
 
 }  // namespace ft::library

@@ -73,6 +73,26 @@ private:
 };
 #endif
 
+/// By keypoints of the caller whose descriptors are not ORB's: what most rigs share, so that a unit
+/// takes the compiler a minute.
+/// @throws bad_argument also for an IMU or words
+template <typename Rig>
+any_odometry made_of_features(odometry_request const& of, Rig const& rig) {
+  using exec_type = place::exec_type;
+  using odometry_type = odometry<exec_type, Rig>;
+  detail::require(!of.params.imu.present && of.places.vocabulary.empty(),
+                  "ft::odometry has no IMU and no words with other descriptors than ORB's");
+  place here(of.where);
+  [[maybe_unused]] auto const entered = here.enter();
+  auto const make = [&](place& p, vocabulary_view const&) {
+    return of.params.loops.present
+               ? odometry_type(p.exec(), rig, of.params, of.batch, loops{}, own_features{})
+               : odometry_type(p.exec(), rig, of.params, of.batch, own_features{});
+  };
+  return any_odometry(std::make_unique<detail::erased_odometry<exec_type, Rig, place>>(
+      std::move(here), vocabulary<exec_type::space>(), make));
+}
+
 template <typename Rig>
 any_odometry made(odometry_request const& of, Rig const& rig) {
   using exec_type = place::exec_type;

@@ -22,12 +22,27 @@ void require_cameras(rig_description const& rig) {
 
 using factory = any_odometry(library::odometry_request const&);
 
-factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
 #if FT_LIBRARY_HAS_CUDA
-#define FT_LIBRARY_CHOOSE(name) (gpu ? library::cuda::name : library::host::name)
+#define FT_LIBRARY_CHOOSE_IN(of, name) (gpu ? library::cuda##of::name : library::host##of::name)
 #else
-#define FT_LIBRARY_CHOOSE(name) (library::host::name)
+#define FT_LIBRARY_CHOOSE_IN(of, name) (library::host##of::name)
 #endif
+#define FT_LIBRARY_CHOOSE(name) FT_LIBRARY_CHOOSE_IN(, name)
+
+factory& factory_of(descriptor_kind kind, [[maybe_unused]] bool gpu) {
+#if FT_LIBRARY_HAS_DESCRIPTORS
+  if (kind == descriptor_kind::bits_512) {
+    return *FT_LIBRARY_CHOOSE_IN(_ft_bits_512, make_described);
+  }
+  if (kind == descriptor_kind::int8_128) {
+    return *FT_LIBRARY_CHOOSE_IN(_ft_int8_128, make_described);
+  }
+#endif
+  throw bad_argument("ft: descriptors are " + std::to_string(static_cast<int>(kind)) +
+                     ", which ft::odometry was built without");
+}
+
+factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
   switch (kind) {
     case rig_kind::rectified_pair:
     case rig_kind::distorted_pair:
@@ -40,7 +55,6 @@ factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
     case rig_kind::multi:
       return *FT_LIBRARY_CHOOSE(make_multi);
   }
-#undef FT_LIBRARY_CHOOSE
   throw bad_argument("ft: rig_description::kind is " + std::to_string(static_cast<int>(kind)) +
                      ", must be in [0, " + std::to_string(static_cast<int>(rig_kind::multi)) + "]");
 }
@@ -48,7 +62,8 @@ factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
 }  // namespace
 
 any_odometry make_odometry(device const& where, rig_description const& rig,
-                           odometry_params const& params, int batch, place_options const& places) {
+                           odometry_params const& params, int batch, place_options const& places,
+                           descriptor_kind descriptors) {
   if (where.gpu < device::current_gpu) {
     throw bad_argument("ft: gpu is " + std::to_string(where.gpu) +
                        ", must be the number of a GPU, -1 for the host, or -2 for the current GPU");
@@ -60,7 +75,8 @@ any_odometry make_odometry(device const& where, rig_description const& rig,
                        ", but ft::odometry was built without CUDA: it has the host, gpu -1");
   }
 #endif
-  factory& make = factory_of(rig.kind, gpu);
+  factory& of_rig = factory_of(rig.kind, gpu);  // refuses what is none
+  factory& make = descriptors == descriptor_kind::orb ? of_rig : factory_of(descriptors, gpu);
   require_cameras(rig);
   return make({where, rig, params, batch, places});
 }

@@ -48,6 +48,17 @@ struct place_options {
   int candidates = 16;     ///< keyframes tried
 };
 
+/// The descriptors by which make_odometry() has keypoints compared.
+enum class descriptor_kind {
+  orb,  ///< 256 bits
+  /// Keypoints of the caller with 512 bits, 64 bytes; shorter rows end with zeros. Of two rows of
+  /// one point usually up to 128 bits differ: AKAZE's 61 bytes, BRISK, FREAK.
+  bits_512,
+  /// Keypoints of the caller with 128 numbers of int8; of two rows of one point the squared
+  /// distance is usually up to 62 500: OpenCV's SIFT, each number less 128.
+  int8_128
+};
+
 /// An odometry behind one interface. Members are those of odometry, with the same errors, and what
 /// is said there holds. One that was never made, or was moved from, refuses every call with
 /// bad_argument.
@@ -159,13 +170,17 @@ private:
 /// monocular of pinhole or kannala_brandt; multi rigs. For other camera models: erase().
 /// Has the part inertial if odometry_params::imu is present, loops if odometry_params::loops are,
 /// places if a vocabulary is named, and own_features if odometry_params::own_features is true.
+/// @param descriptors others than ORB's need odometry_params::own_features, and have rectified
+/// pairs
+///   and rgbd of pinholes, without an IMU and words, where the library was built with them
 /// @throws error for a vocabulary that cannot be read; bad_argument as odometry's constructor, for
 /// a rig that is not in the library, for a GPU
 ///   that is not there, or any GPU if the library was built without CUDA; std::bad_alloc,
 ///   cuda_error
 FT_VISIBLE any_odometry make_odometry(device const& where, rig_description const& rig,
                                       odometry_params const& params, int batch = 1,
-                                      place_options const& places = {});
+                                      place_options const& places = {},
+                                      descriptor_kind descriptors = descriptor_kind::orb);
 
 /// Names of the GPUs that the library ft::odometry can use, in the order of their numbers; none if
 /// it was built without CUDA.

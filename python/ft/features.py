@@ -54,8 +54,8 @@ class ImageFeatures:
     """Keypoints of an image from any detector, n of them, for Odometry.track_features().
 
     positions: (n, 2) column and row, pixels, in the image; 0 is the middle of the first pixel. descriptors: (n, 32) uint8,
-    compared by their Hamming distance. octave: (n) pyramid levels; positions have a standard deviation of
-    scale_factor ** octave pixels. deviation: (n) pixels, instead of octave; the nearest one is taken. Without both the
+    compared by their Hamming distance, or those of Odometry(descriptors=...). octave: (n) pyramid levels; positions have a
+    standard deviation of scale_factor ** octave pixels. deviation: (n) pixels, instead of octave; the nearest one is taken. Without both the
     octave is 0. angle: (n) degrees, 0 to 360; without, matches are not compared by how they turned. score: (n); of more keypoints
     than there is room for those with the highest scores are taken, without scores the first ones.
 
@@ -65,7 +65,7 @@ class ImageFeatures:
     """
 
     positions: ArrayLike
-    descriptors: NDArray[np.uint8]
+    descriptors: Union[NDArray[np.uint8], NDArray[np.int8], NDArray[np.float32]]
     octave: Optional[ArrayLike] = None
     angle: Optional[ArrayLike] = None
     score: Optional[ArrayLike] = None
@@ -82,17 +82,45 @@ class ImageFeatures:
                              level_positions=True)
 
     @staticmethod
-    def from_cv2(keypoints: Sequence[cv2.KeyPoint], descriptors: Optional[NDArray[np.uint8]]) -> ImageFeatures:
-        """Those of cv2.ORB_create(scaleFactor=s), whose scale_factor the Odometry has, too. Of another detector of OpenCV
-        the octaves mean something else: set `octave` to None, and `level_positions` to False."""
+    def from_cv2(keypoints: Sequence[cv2.KeyPoint], descriptors: Optional[NDArray[np.uint8]],
+                 pixel_size: Optional[float] = None) -> ImageFeatures:
+        """Those of cv2.ORB_create(scaleFactor=s), whose scale_factor the Odometry has, too. Octaves of other detectors of
+        OpenCV mean something else. pixel_size: of these, the size of keypoints whose positions have a standard deviation of
+        a pixel, 3.2 of SIFT, 4.8 of AKAZE; `deviation` follows from the sizes."""
         positions = np.array([k.pt for k in keypoints], np.float32).reshape(-1, 2)
         rows = np.zeros((0, 32), np.uint8) if descriptors is None else descriptors
         angle = np.array([k.angle for k in keypoints], np.float32)
+        if pixel_size is not None:
+            sizes = np.array([k.size for k in keypoints], np.float32)
+            return ImageFeatures(positions, rows, angle=None if np.any(angle < 0) else angle, deviation=sizes / pixel_size,
+                                 score=np.array([k.response for k in keypoints], np.float32))
         return ImageFeatures(positions, rows, np.array([k.octave for k in keypoints], np.int32),
                              None if np.any(angle < 0) else angle,
                              np.array([k.response for k in keypoints], np.float32), level_positions=True)
 
-    def _arrays(self) -> dict[str, object]:
+    def _rows(self, kind: str) -> object:
+        """The descriptors as an odometry of that kind takes them."""
+        rows = self.descriptors
+        if not isinstance(rows, np.ndarray) or kind == "orb":
+            return np.ascontiguousarray(rows) if isinstance(rows, np.ndarray) else rows
+        if rows.ndim == 2 and len(rows) == 0:
+            return np.zeros((0, 64 if kind == "bits_512" else 128), np.uint8)
+        if kind == "bits_512":
+            if rows.dtype != np.uint8 or rows.ndim != 2 or not 61 <= rows.shape[1] <= 64:
+                raise ValueError(f"descriptors of the features are {rows.dtype} of shape {rows.shape}, must be uint8, (n, 61) "
+                                 "to (n, 64)")
+            return np.pad(rows, ((0, 0), (0, 64 - rows.shape[1])))
+        if rows.dtype not in (np.int8, np.uint8, np.float32) or rows.shape[1:] != (128,):
+            raise ValueError(f"descriptors of the features are {rows.dtype} of shape {rows.shape}, must be int8, uint8 or "
+                             "float32, (n, 128)")
+        if rows.dtype == np.int8:
+            return np.ascontiguousarray(rows).view(np.uint8)
+        whole = rows.astype(np.uint8) if np.all((rows >= 0) & (rows <= 255)) else np.zeros_like(rows, np.uint8)
+        if not np.array_equal(whole, rows):
+            raise ValueError("descriptors of the features are not whole numbers from 0 to 255, as those of SIFT are")
+        return np.ascontiguousarray(whole ^ np.uint8(128))  # the bytes of int8, 128 less
+
+    def _arrays(self, kind: str = "orb") -> dict[str, object]:
         def floats(name: str) -> object:
             values = getattr(self, name)
             try:
@@ -104,11 +132,10 @@ class ImageFeatures:
         if octave is not None and octave.size > 0 and octave.dtype.kind not in "iu":
             raise ValueError(f"octave of the features is {octave.dtype}, must be whole numbers")
         columns = ("positions", "angle", "score", "deviation", "right_x", "depth")
-        descriptors = self.descriptors
         return {
             **{name: floats(name) for name in columns},
             "octave": None if octave is None else np.ascontiguousarray(octave.clip(-1, 127), np.int32),
-            "descriptors": np.ascontiguousarray(descriptors) if isinstance(descriptors, np.ndarray) else descriptors,
+            "descriptors": self._rows(kind),
             "level_positions": bool(self.level_positions),
         }
 

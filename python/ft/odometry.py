@@ -59,7 +59,10 @@ class Odometry:
     an adjustment, moving and fixed. vocabulary: a file; by its words a lost camera is also looked up among so many
     candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. loops: places that were
     seen before are recognised and the path is corrected, see placed_keyframes(); not with a MonocularCamera or
-    batch > 1. own_features: track_features() takes keypoints of yours. measure_stages: record stage_times(). features,
+    batch > 1. own_features: track_features() takes keypoints of yours. descriptors: of these, "orb" (32 bytes),
+    "bits_512" (61 to 64 bytes, as AKAZE's and BRISK's) or "int8_128" (OpenCV's SIFT, or int8, of two rows of one point up to
+    250 apart); others than "orb" need own_features and a RectifiedPair or an RgbdCamera of a pinhole, without imu and
+    vocabulary, and track no images. measure_stages: record stage_times(). features,
     levels ...: as those of OrbExtractor.
     device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range; warns of what
     check_calibration() finds.
@@ -71,20 +74,24 @@ class Odometry:
                  device: str = "auto", near_depth: float = 50.0, map_slots: int = 1 << 14, keyframes: int = 128,
                  local_points: int = 1 << 13, window: tuple[int, int] = (10, 5), window_points: int = 1 << 12,
                  vocabulary: Optional[Union[str, os.PathLike[str]]] = None, candidates: int = 16,
-                 loops: bool = False, own_features: bool = False, measure_stages: bool = False,
+                 loops: bool = False, own_features: bool = False, descriptors: str = "orb", measure_stages: bool = False,
                  features: int = 1200, levels: int = 8, scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
                  mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
         all_options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size,
                                std_sort, threads)
         if vocabulary is not None and not str(vocabulary):
             raise ValueError("vocabulary is empty, must be a file, or None")
+        if descriptors not in ("orb", "bits_512", "int8_128"):
+            raise ValueError(f"descriptors is {descriptors!r}, must be 'orb', 'bits_512' or 'int8_128'")
         moving, fixed = _two(window, "window")
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
                            local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points,
                            vocabulary="" if vocabulary is None else str(vocabulary), candidates=candidates,
-                           loops=bool(loops), own_features=bool(own_features), measure_stages=bool(measure_stages))
+                           loops=bool(loops), own_features=bool(own_features), descriptors=descriptors,
+                           measure_stages=bool(measure_stages))
         self.rig, self.scale_factor = rig, scale_factor
         self._doubts_depth = True
+        self._descriptors = descriptors
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
         for found in check_calibration(rig, width, height):
             warnings.warn(f"{found.name}: {found.text}", stacklevel=2)
@@ -153,7 +160,7 @@ class Odometry:
         for f in (f for frame in frames for f in frame):
             if not isinstance(f, ImageFeatures):
                 raise ValueError(f"features are {type(f).__name__}, must be ft.ImageFeatures")
-        tracked = self._pipeline.track_features([[f._arrays() for f in frame] for frame in frames],
+        tracked = self._pipeline.track_features([[f._arrays(self._descriptors) for f in frame] for frame in frames],
                                                 [time_ns] if single else time_ns)
         return tracked[0] if single else tracked
 

@@ -125,10 +125,15 @@ public:
     ft::place_options places;
     places.vocabulary = nb::cast<std::string>(options["vocabulary"]);
     places.candidates = get("candidates");
+    auto const named = nb::cast<std::string>(options["descriptors"]);
+    ft::descriptor_kind kind = ft::descriptor_kind::orb;
+    if (named == "bits_512") { kind = ft::descriptor_kind::bits_512; }
+    if (named == "int8_128") { kind = ft::descriptor_kind::int8_128; }
+    if (kind != ft::descriptor_kind::orb) { descriptor_bytes_ = named == "bits_512" ? 64 : 128; }
     {
       nb::gil_scoped_release const released;
       inner_ = std::make_unique<ft::any_odometry>(translated(
-          [&] { return ft::make_odometry(where, description_of(r), p, batch_, places); }));
+          [&] { return ft::make_odometry(where, description_of(r), p, batch_, places, kind); }));
     }
     for (int i = 0; i < batch_; ++i) {
       for (std::string const& name : image_names(r)) {
@@ -153,7 +158,8 @@ public:
   std::vector<tracking> track_features(nb::sequence const& given, nb::handle at) {
     arrays kept;
     std::vector<std::int64_t> const time_ns = times(at, "time_ns");
-    std::vector<ft::given_features> const features = given_features_of(kept, given, batch_ > 1);
+    std::vector<ft::given_features> const features =
+        given_features_of(kept, given, batch_ > 1, descriptor_bytes_);
     require_number(features.size(), time_ns.size(), static_cast<std::size_t>(batch_));
     nb::gil_scoped_release const released;
     return translated([&] { return described(inner_->track(features.data(), time_ns.data())); });
@@ -407,6 +413,7 @@ private:
   bool is_rgbd_ = false;
   bool has_depth_scale_ = false;
   bool gpu_ = false;
+  int descriptor_bytes_ = 32;
 };
 
 char const* name_of(ft::tracking_state s) {

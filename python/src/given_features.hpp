@@ -12,10 +12,12 @@
 namespace ftpy {
 
 /// @param given a dict of arrays; those that are missing are None
+/// @param bytes of a descriptor
 inline ft::image_features image_features_of(arrays& kept, nb::handle given,
-                                            std::string const& image) {
+                                            std::string const& image, int bytes) {
   std::string const of = " of the features of " + image;
   ft::image_features f;
+  f.descriptor_bytes = bytes;
   f.descriptors =
       kept.rows_of_bytes(given["descriptors"], "descriptors" + of, f.descriptor_bytes, f.count);
   auto const n = static_cast<std::size_t>(f.count);
@@ -37,8 +39,9 @@ inline ft::image_features image_features_of(arrays& kept, nb::handle given,
 }
 
 /// @param given of each rig a sequence: the features of its image, or of the left and the right one
+/// @param bytes of a descriptor
 inline std::vector<ft::given_features> given_features_of(arrays& kept, nb::sequence const& given,
-                                                         bool several) {
+                                                         bool several, int bytes) {
   std::vector<ft::given_features> all;
   for (nb::handle const h : given) {
     std::size_t const images = nb::len(h);
@@ -48,8 +51,9 @@ inline std::vector<ft::given_features> given_features_of(arrays& kept, nb::seque
     }
     std::string const rig = several ? " of camera pair " + std::to_string(all.size()) : "";
     ft::given_features f;
-    f.left = image_features_of(kept, h[0], (images == 2 ? "the left image" : "the image") + rig);
-    if (images == 2) { f.right = image_features_of(kept, h[1], "the right image" + rig); }
+    f.left =
+        image_features_of(kept, h[0], (images == 2 ? "the left image" : "the image") + rig, bytes);
+    if (images == 2) { f.right = image_features_of(kept, h[1], "the right image" + rig, bytes); }
     all.push_back(f);
   }
   return all;

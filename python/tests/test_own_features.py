@@ -124,3 +124,65 @@ def test_what_else_is_refused(matches):
                             ((left.positions, 1), "ImageFeatures"), ((left, right, 1.5), "time_ns")):
         with pytest.raises(ValueError, match=word):
             of_pair.track_features(*arguments)
+
+
+# ---- other descriptors than ORB's, made of ORB's
+
+def numbers(orb):
+    """Two bits a number: of 64 bits that differ the squared distance is about 62 500."""
+    bits = np.unpackbits(orb, axis=1)
+    return (128 - 31 + 31 * (bits[:, ::2] + bits[:, 1::2])).astype(np.uint8)
+
+
+OTHERS = {"bits_512": lambda orb: np.concatenate([orb, orb[:, :29]], axis=1), "int8_128": numbers}
+
+
+def described(features, of):
+    return tuple(ft.ImageFeatures(**{**vars(f), "descriptors": of(f.descriptors)}) for f in features)
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_other_descriptors(walk, matches, device, kind):
+    of_pair = [described(pair(m), OTHERS[kind]) for m in matches]
+    poses = follow(odometry(device=device, descriptors=kind), of_pair)
+    assert_found(walk, poses)
+    host = follow(odometry(descriptors=kind), of_pair)
+    assert all(np.array_equal(p.T_world_camera, q.T_world_camera) for p, q in zip(poses, host))
+    depths = [described((with_partners(m, depth=m.depth),), OTHERS[kind]) for m in matches]
+    assert_found(walk, follow(odometry(ft.RgbdCamera(CAMERA), device, descriptors=kind), depths))
+
+
+def test_numbers_of_each_type_are_the_same(matches):
+    types = (numbers, lambda orb: numbers(orb).astype(np.float32),
+             lambda orb: (numbers(orb).astype(np.int16) - 128).astype(np.int8))
+    paths = [follow(odometry(descriptors="int8_128"), [described(pair(m), of) for m in matches]) for of in types]
+    for other in paths[1:]:
+        assert all(np.array_equal(p.T_world_camera, q.T_world_camera) for p, q in zip(paths[0], other))
+
+
+@pytest.mark.parametrize("kind, rows, word", [
+    ("bits_512", np.zeros((2, 32), np.uint8), "must be uint8"), ("bits_512", np.zeros((2, 61)), "must be uint8"),
+    ("bits_512", np.zeros(64, np.uint8), "must be uint8"), ("int8_128", np.zeros((2, 64), np.uint8), "must be int8"),
+    ("int8_128", np.zeros((2, 128)), "must be int8"), ("int8_128", np.full((2, 128), 0.5, np.float32), "whole numbers"),
+    ("int8_128", np.full((2, 128), 256, np.float32), "whole numbers"),
+    ("int8_128", np.full((2, 128), np.nan, np.float32), "whole numbers"), ("int8_128", None, "descriptors"),
+], ids=str)
+def test_other_descriptors_that_are_refused(kind, rows, word):
+    with pytest.raises(ValueError, match=word):
+        odometry(descriptors=kind).track_features(ft.ImageFeatures([[1, 2], [3, 4]], rows), 1)
+
+
+def test_what_other_descriptors_have_not(walk, matches, tmp_path):
+    other = odometry(descriptors="bits_512")
+    none = ft.ImageFeatures(np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
+    assert not other.track_features(none, none, 1).tracked  # images without keypoints
+    with pytest.raises(ValueError, match="the caller's"):
+        other.track(*walk.frame(1))
+    for rig, options, word in ((ft.MonocularCamera(CAMERA), {}, "compiled for"), (None, {"imu": ft.Imu()}, "no IMU"),
+                               (None, {"vocabulary": tmp_path / "words.txt"}, "no words"),
+                               (None, {"descriptors": "sift"}, "must be")):
+        with pytest.raises(ValueError, match=word):
+            odometry(rig, **{"descriptors": "bits_512", **options})
+    with pytest.raises(ValueError, match="own_features"):
+        ft.Odometry(ft.RectifiedPair(CAMERA, BASELINE), WIDTH, HEIGHT, device="host", descriptors="int8_128")
+    assert other.track_features(*described(pair(matches[0]), OTHERS["bits_512"]), 2).state

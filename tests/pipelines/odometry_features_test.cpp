@@ -23,51 +23,19 @@
 #include "tests/support/effort.hpp"
 #include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
+#include "tests/support/room_features.hpp"
 
 namespace odometry_features_test {
 
 using test::room::at;
+using test::room::copy_of;
+using test::room::features;
+using test::room::pair_features;
 using test::room::stereo_frame;
 constexpr std::int64_t period = 50'000'000;
 constexpr float nan = std::numeric_limits<float>::quiet_NaN();
 
 std::int64_t time_of(std::size_t i) { return period * static_cast<std::int64_t>(i + 1); }
-
-/// Keypoints in memory of the caller.
-struct features {
-  std::vector<float> positions, angle, score, right_x, depth;
-  std::vector<int> octave;
-  std::vector<ft::descriptor> descriptors;
-
-  ft::image_features view() const {
-    ft::image_features f;
-    f.count = static_cast<int>(octave.size());
-    f.positions = positions.data();
-    f.descriptors = descriptors.data();
-    f.octave = octave.data();
-    f.angle = angle.data();
-    f.score = score.data();
-    f.level_positions = true;
-    return f;
-  }
-  ft::image_features with_partners() const {
-    ft::image_features f = view();
-    f.right_x = right_x.data();
-    f.depth = depth.data();
-    return f;
-  }
-};
-features copy_of(ft::keypoints_view const& kp) {
-  features f;
-  for (int i = 0; i < *kp.count; ++i) {
-    f.positions.insert(f.positions.end(), {kp.x(i), kp.y(i)});
-    f.angle.push_back(kp.angle(i));
-    f.score.push_back(kp.response(i));
-    f.octave.push_back(kp.octave(i));
-    f.descriptors.push_back(kp.orb(i));
-  }
-  return f;
-}
 
 ft::odometry_params params(bool own_features = true) {
   auto p = test::room::odometry_params(4096);
@@ -83,38 +51,10 @@ std::vector<stereo_frame> const& walk() {
   return frames;
 }
 
-struct pair_features {
-  features left, right;
-
-  ft::given_features with_partners() const { return {left.with_partners(), {}}; }
-  ft::given_features without_partners() const { return {left.view(), right.view()}; }
-};
-
-/// What an odometry extracts of a walk. @param refined positions between pixels
 template <typename Exec>
 std::vector<pair_features> extract(Exec const& exec, ft::rectified_rig const& rig,
                                    std::vector<stereo_frame> const& frames) {
-  auto orb = params().orb;
-  orb.exact_positions = orb.refine_positions = true;
-  ft::orb_extractor<Exec> extractor(exec, orb, 2);
-  ft::stereo_matcher<Exec> matcher(rig, extractor, ft::column_rule::least_squares);
-  std::vector<pair_features> all;
-  for (auto const& f : frames) {
-    extractor.upload(exec, 0, test::room::view(f.left));
-    extractor.upload(exec, 1, test::room::view(f.right));
-    extractor.extract(exec);
-    matcher.match(exec, extractor);
-    auto const keypoints = extractor.download(exec);
-    auto const matches = ft::download(exec, matcher.matches());
-    pair_features p{copy_of(keypoints.view().slice(0)), copy_of(keypoints.view().slice(1))};
-    auto const n = static_cast<std::ptrdiff_t>(p.left.octave.size());
-    float const* const right_x = ft::array_of<ft::field::right_x>(matches.view());
-    float const* const depth = ft::array_of<ft::field::depth>(matches.view());
-    p.left.right_x.assign(right_x, right_x + n);
-    p.left.depth.assign(depth, depth + n);
-    all.push_back(std::move(p));
-  }
-  return all;
+  return test::room::extract(exec, rig, params().orb, frames);
 }
 
 template <typename Exec, typename Rig, typename FeaturesOf>
@@ -437,7 +377,8 @@ TYPED_TEST(odometry_features, beyond_the_capacity_are_the_best_by_score_and_the_
 TYPED_TEST(odometry_features, partners_that_are_none_have_no_depth) {
   TypeParam backend;
   using exec_type = typename TypeParam::exec_type;
-  auto const given = extract(backend.exec, test::room::rig(), {walk()[0]})[0].left;
+  auto given = extract(backend.exec, test::room::rig(), {walk()[0]})[0].left;
+  given.positions[0] = 1e-12f;
   ft::odometry<exec_type, ft::rectified_rig> odo(backend.exec, test::room::rig(), params(), 1,
                                                  ft::own_features{});
   float const inf = std::numeric_limits<float>::infinity();
@@ -450,6 +391,7 @@ TYPED_TEST(odometry_features, partners_that_are_none_have_no_depth) {
     right[i] = rights[i % 6];
     depth[i] = depths[i % 6];
   }
+  right[0] = 0;  // the depth would be 7e13 m
   ft::given_features f{given.view(), {}};
   f.left.right_x = right.data();
   odo.track(f, time_of(0));
@@ -513,6 +455,12 @@ TYPED_TEST(odometry_features, refuses_what_it_cannot_take_and_goes_on) {
     f.left.octave = nullptr;
     f.left.deviation = none.data();
   });
+  for (float const z : {1e10f, 1e15f, 3e38f}) {
+    refused("depth 5 is ", [&](given_type& f, pair_features& c) {
+      c.left.depth[5] = z;
+      f.left.depth = c.left.depth.data();
+    });
+  }
   refused("belong to the left image",
           [&](given_type& f, pair_features&) { f.right.depth = none.data(); });
   EXPECT_THROW(odo.track(given[1].without_partners(), time_of(0)), ft::bad_argument) << "a time";

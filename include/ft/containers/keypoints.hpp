@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <cstring>
+#include <type_traits>
 
 #include "ft/containers/soa.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -11,15 +12,33 @@
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 #include "ft/descriptors/binary_descriptor.hpp"
+#include "ft/descriptors/search_distance.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// ORB's 256 bits; bit i of byte j is test 8j+i.
+/// What keypoints and map points have in this unit. ORB's 256 bits; bit i of byte j is test 8j+i.
+/// Or, for keypoints of the caller, a descriptor model of any kind, for all headers of ft in a
+/// unit:
+///
+///     #define FT_DESCRIPTOR akaze  // the first line, or an option of the compiler
+///     #include "ft/descriptors/binary_descriptor.hpp"
+///     struct akaze : ft::binary_descriptor<488> {
+///       static constexpr char const* name = "akaze";
+///     };
+///     #include "ft/pipelines/odometry.hpp"
+///
+/// Units with other descriptors may be in one program.
+#if defined(FT_DESCRIPTOR)
+using descriptor = ::FT_DESCRIPTOR;
+static_assert(assert_descriptor_model<descriptor>::value, "FT_DESCRIPTOR keeps the contract");
+#else
 using descriptor = binary_descriptor<256>;
+#endif
 
 /// Number of differing bits, 0..256.
-FT_HOST_DEVICE inline int hamming(descriptor const& a, descriptor const& b) {
+FT_HOST_DEVICE inline int hamming(binary_descriptor<256> const& a,
+                                  binary_descriptor<256> const& b) {
   int distance = 0;
 #if defined(__CUDA_ARCH__)
   FT_UNROLL
@@ -41,7 +60,7 @@ FT_FIELD(y, float);             ///< row in the input image, pixels
 FT_FIELD(angle, float);         ///< degrees, [0, 360)
 FT_FIELD(response, float);      ///< corner score
 FT_FIELD(octave, int);          ///< pyramid level
-FT_FIELD(orb, ft::descriptor);  ///< descriptor
+FT_FIELD(orb, ft::descriptor);  ///< descriptor, ORB's or another
 }  // namespace field
 
 using keypoints_view =
@@ -78,16 +97,32 @@ struct two_nearest {
   }
 };
 
-/// hamming() for loops that do little else.
-FT_HOST_DEVICE inline int hamming_by_adders(descriptor const& a, descriptor const& b) {
+/// Whether ft finds keypoints with such descriptors in images. Otherwise the caller gives them.
+inline constexpr bool describes_images = std::is_same<descriptor, binary_descriptor<256>>::value;
+
+using descriptor_scale = search_scale<descriptor>;
+
+/// Distance of two descriptors, 0 to search_scale::most: of ORB hamming().
+template <typename D>
+FT_HOST_DEVICE FT_INLINE int search_distance(D const& a, D const& b) {
+  if constexpr (std::is_same<D, binary_descriptor<256>>::value) {
+    return hamming(a, b);
+  } else {
+    return search_scale<D>::of(D::distance(a, b));
+  }
+}
+/// The same for loops that do little else.
+template <typename D>
+FT_HOST_DEVICE FT_INLINE int search_distance_by_adders(D const& a, D const& b) {
 #if defined(__CUDA_ARCH__)
-  std::uint32_t d[8];
-  FT_UNROLL
-  for (int i = 0; i < 8; ++i) { d[i] = a.words[i] ^ b.words[i]; }
-  return ones_by_adders(d);
-#else
-  return hamming(a, b);
+  if constexpr (std::is_same<D, binary_descriptor<256>>::value) {
+    std::uint32_t d[8];
+    FT_UNROLL
+    for (int i = 0; i < 8; ++i) { d[i] = a.words[i] ^ b.words[i]; }
+    return ones_by_adders(d);
+  }
 #endif
+  return search_distance(a, b);
 }
 
 }  // namespace detail

@@ -164,7 +164,7 @@ struct vocabulary_lines {
       byte = static_cast<unsigned char>(in.integer("a byte of the descriptor", 0, 255));
     }
     orb.emplace_back();
-    std::memcpy(orb.back().words, bytes, sizeof bytes);
+    std::memcpy(static_cast<void*>(&orb.back()), bytes, sizeof bytes);
     weight.push_back(in.real("the weight"));
     in.end_line();
   }

@@ -28,10 +28,20 @@
 /// for exceptions, which are caught in any.
 #if defined(__CUDACC__)
 #define FT_HOST_DEVICE __host__ __device__
-#define FT_ABI v0_cuda
+#define FT_BACKEND cuda
 #else
 #define FT_HOST_DEVICE
-#define FT_ABI v0_host
+#define FT_BACKEND host
+#endif
+/// A unit whose odometries compare another descriptor than ORB's defines FT_DESCRIPTOR as the name
+/// of a structure at global scope, see containers/keypoints.hpp; its instantiations are its own,
+/// too.
+#define FT_JOIN_NAMES(a, b, c) a##b##c
+#define FT_JOINED(a, b, c) FT_JOIN_NAMES(a, b, c)
+#if defined(FT_DESCRIPTOR)
+#define FT_ABI FT_JOINED(FT_JOINED(v0_, FT_BACKEND, _), FT_DESCRIPTOR, )
+#else
+#define FT_ABI FT_JOINED(v0_, FT_BACKEND, )
 #endif
 
 #if defined(__GNUC__)

@@ -36,10 +36,10 @@ inline std::vector<cv::KeyPoint> to_opencv(keypoints_view const& keypoints,
   return all;
 }
 
-/// The descriptors of one image, a row of 32 bytes each. @param keypoints one batch entry, host
-/// memory
+/// The descriptors of one image, a row of bytes each, ORB's of 32. @param keypoints one batch
+/// entry, host memory
 inline cv::Mat descriptors_to_opencv(keypoints_view const& keypoints) {
-  cv::Mat rows(*keypoints.count, 32, CV_8UC1);
+  cv::Mat rows(*keypoints.count, static_cast<int>(sizeof(descriptor)), CV_8UC1);
   for (int i = 0; i < *keypoints.count; ++i) {
     std::memcpy(rows.ptr(i), &keypoints.orb(i), sizeof(descriptor));
   }

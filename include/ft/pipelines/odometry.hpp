@@ -105,6 +105,7 @@ public:
   ///   after the camera's last one; then nothing has changed
   tracking const* track(images_type const* images, std::int64_t const* time_ns) {
     engine& p = made();
+    p.require_images();
     p.require_later(time_ns);
     for (int b = 0; b < p.stages.batch; ++b) { p.stages.input.take(b, images[b]); }
     forget_prefetched();

@@ -7,16 +7,17 @@
 namespace ft {
 inline namespace v0 {
 
-/// Keypoints of an image from any detector, with binary descriptors that are compared by their
-/// Hamming distance: OpenCV's ORB, BRIEF, or others of 256 bits. Arrays in host memory, without
-/// gaps; they are read during the call that takes them.
+/// Keypoints of an image from any detector. Their descriptors have 256 bits and are compared by
+/// their Hamming distance, as OpenCV's ORB and BRIEF; or they are those of FT_DESCRIPTOR, see
+/// containers/keypoints.hpp. Arrays in host memory, without gaps; they are read during the call
+/// that takes them.
 struct image_features {
   int count = 0;
   /// [count][2] column and row, pixels, in [0, width) x [0, height); 0 is the middle of the first
   /// one.
   float const* positions = nullptr;
   void const* descriptors = nullptr;  ///< [count][descriptor_bytes]
-  int descriptor_bytes = 32;          ///< no other number yet
+  int descriptor_bytes = 32;          ///< those of ft::descriptor
   /// [count] pyramid level, 0 to orb_params::levels - 1: a position has a standard deviation of
   /// scale_factor^octave pixels, and keypoints of a map point are searched on the levels that its
   /// distance lets expect. Null: by `deviation`; without that, 0.
@@ -37,8 +38,8 @@ struct image_features {
   /// [count] column in the right image, pixels; NaN, negative, not left of the keypoint's column,
   /// or before the first pixel of its octave's level: no partner. Not of an rgbd_rig
   float const* right_x = nullptr;
-  /// [count] along the camera's axis, metres; 0, negative, infinite or NaN: no depth. The one that
-  /// is null of both follows from the other.
+  /// [count] along the camera's axis, metres, below 1e10; 0, negative, infinite or NaN: no depth.
+  /// The one that is null of both follows from the other.
   float const* depth = nullptr;
 
   /// How positions and right columns are counted. False: where the image has them. True: in the

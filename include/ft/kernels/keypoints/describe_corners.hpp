@@ -40,7 +40,7 @@ struct describe_keypoint {
                                  described_view const& keypoints) const {
     int const image = item / keypoints.capacity;
     if (item % keypoints.capacity >= keypoints.count[image]) { return; }
-    descriptor& orb = keypoints.orb(item);
+    binary_descriptor<256>& orb = orb_bits(keypoints.orb(item));
     int const l = keypoints.octave(item);
     pixel const at = nearest_pixel(from.pyramid.geometry, keypoints.x(item), keypoints.y(item), l);
     if (!at.valid) {
@@ -159,13 +159,13 @@ struct describe_corner {
                                  pattern_radius * (4 * window_words + 1) +
                                  ((x - pattern_radius) & 3);
       auto const at = [&](int dx, int dy) { return centre[dy * 4 * window_words + dx]; };
-      describe_by_warp(g, at, turn, tests, v.out.orb(to));
+      describe_by_warp(g, at, turn, tests, orb_bits(v.out.orb(to)));
     } else {
       fetch_window(level, x, y);
       angle = orientation(g, sharp, x, y);
       rotation const turn = rotation_by(angle);
       to += v.place[item];
-      describe_alone(level, x, y, turn, v.from.pattern, v.out.orb(to));
+      describe_alone(level, x, y, turn, v.from.pattern, orb_bits(v.out.orb(to)));
     }
     if (g.rank() == 0) { v.out.angle(to) = angle; }
   }

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <type_traits>
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
@@ -173,10 +174,18 @@ struct lane_tests<warp_group> {
 };
 #endif
 
+/// Where ORB's bits of a keypoint go.
+template <typename D>
+FT_HOST_DEVICE FT_INLINE binary_descriptor<256>& orb_bits(D& row) {
+  static_assert(std::is_same<D, binary_descriptor<256>>::value,
+                "ft finds ORB's keypoints in images: of another FT_DESCRIPTOR give your own");
+  return row;
+}
+
 /// Descriptor by a warp. @param at(dx, dy) the pixel at an offset from the keypoint
 template <typename Group, typename Sample>
 FT_HOST_DEVICE void describe_by_warp(Group g, Sample const& at, rotation turn,
-                                     lane_tests<Group> const& tests, descriptor& orb) {
+                                     lane_tests<Group> const& tests, binary_descriptor<256>& orb) {
   constexpr int words = lane_tests<Group>::words;
   std::uint32_t mine = 0;  // lane k keeps word k
   FT_UNROLL
@@ -189,7 +198,8 @@ FT_HOST_DEVICE void describe_by_warp(Group g, Sample const& at, rotation turn,
 
 /// Descriptor by a single thread.
 FT_HOST_DEVICE FT_INLINE void describe_alone(gray_view level, int x, int y, rotation turn,
-                                             pattern_pair const* pattern, descriptor& orb) {
+                                             pattern_pair const* pattern,
+                                             binary_descriptor<256>& orb) {
   for (int i = 0; i < 8; ++i) {
     orb.words[i] = descriptor_word(level.row(y) + x, level.stride, turn, pattern, i);
   }

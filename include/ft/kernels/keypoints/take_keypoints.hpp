@@ -25,6 +25,8 @@ struct taken_keypoints_view {
   /// [rigs] which of these are given: sum of 1 and 2; 0 = none.
   int* partners = nullptr;
   static constexpr int has_right = 1, has_depth = 2;
+  /// Depths are below, metres: what comes of them stays within what a map file may have.
+  static constexpr float farthest = 1e10f;
 };
 
 /// @param images of all rigs
@@ -95,6 +97,7 @@ struct take_partner {
       if ((given & taken_keypoints_view::has_depth) != 0) { depth = at.depth_of(from.depth[item]); }
       if (given == taken_keypoints_view::has_right) {
         depth = at.depth_at(right, bf);
+        if (!(depth < taken_keypoints_view::farthest)) { depth = -1; }
         right = depth > 0 ? right : -1;
       }
       if (given == taken_keypoints_view::has_depth) { right = at.right_at(depth, bf); }

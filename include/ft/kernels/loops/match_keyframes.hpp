@@ -55,11 +55,11 @@ namespace detail {
 template <typename Group>
 FT_HOST_DEVICE int nearest_in(Group g, descriptor const& mine, loop_archive_view const& a,
                               int row) {
-  constexpr int most = 64;  // bits that differ
+  constexpr int most = descriptor_scale::near;
   descriptor const* const all = a.orb + a.at(row);
   two_nearest best;
   for (int k = g.rank(); k < a.count[row]; k += g.size()) {
-    best.add(hamming_by_adders(mine, all[k]), k);
+    best.add(search_distance_by_adders(mine, all[k]), k);
   }
   best = best.merged(g);
   return best.first <= most && 10 * best.first < 9 * best.second ? best.index : -1;

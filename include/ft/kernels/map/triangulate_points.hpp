@@ -27,7 +27,7 @@ namespace ft {
 inline namespace FT_ABI {
 
 struct triangulation_params {
-  int max_hamming = 50;        ///< largest Hamming distance of a match, bits
+  int max_hamming = detail::descriptor_scale::limit(50);  ///< see search_params
   int min_shared = 15;         ///< points that an earlier keyframe shares with the frame
   double max_cosine = 0.9998;  ///< of the angle between the rays of a point
   double chi2 = 5.991;         ///< largest reprojection error, in units of variance
@@ -248,7 +248,7 @@ private:
       real const off = scalar::abs(dot(f2, normal));
       real const limit = pixel * real(static_cast<double>(in.geometry.scale[kf.octave[at]]));
       if (!(off <= limit * length) || !(f2.z > real(0))) { return; }
-      int const distance = hamming(orb, rays.orb[at]);
+      int const distance = search_distance(orb, rays.orb[at]);
       if (distance > in.params.max_hamming) { return; }
       int const slot = kf.holder[at];
       bool const held = slot >= 0 && records.number[records.at(b, slot)] == kf.holder_number[at];

@@ -329,6 +329,8 @@ void search_initial_matches(Exec const& exec, frame_pair_view const& frames,
   int const first = frames.first.capacity;
   int const second = frames.second.capacity;
   check(params);
+  initial_match_params scaled = params;
+  scaled.max_hamming = detail::descriptor_scale::limit(params.max_hamming);
   detail::require_range("keypoints of the first frame", first, 1, (1 << 23) - 1);
   detail::require_range("keypoints of the second frame", second, 1, (1 << 23) - 1);
   detail::require_range("capacity of the matches", out.capacity, first, first);
@@ -337,8 +339,8 @@ void search_initial_matches(Exec const& exec, frame_pair_view const& frames,
   detail::require_items("pairs times keypoints", static_cast<std::size_t>(out.batch),
                         static_cast<std::size_t>(first));
   for_each_item<per_warp>(exec, out.batch * first, detail::list_initial_candidates{}, frames,
-                          params, out, work);
-  for_each_item<per_block<512>>(exec, out.batch, detail::assign_initial_matches{}, frames, params,
+                          scaled, out, work);
+  for_each_item<per_block<512>>(exec, out.batch, detail::assign_initial_matches{}, frames, scaled,
                                 out, work);
 }
 

@@ -130,7 +130,7 @@ struct match_anywhere {
       two_nearest best;
       for (int a = g.rank(); a < in.frame.capacity(); a += g.size()) {
         int const slot = from.slot(first + a);
-        best.add(slot >= 0 ? hamming_by_adders(mine, points.orb(slot)) : best.none, a);
+        best.add(slot >= 0 ? search_distance_by_adders(mine, points.orb(slot)) : best.none, a);
       }
       best = best.merged(g);
       found = best.first < best.none ? best.index : -1;
@@ -149,9 +149,11 @@ private:
   /// The nearest of n descriptors if it is near, and nearer than the second by the ratio.
   template <typename Group, typename At>
   FT_HOST_DEVICE static int nearest(Group g, descriptor const& mine, int n, At const& at) {
-    constexpr int most = 80;  // bits that differ
+    constexpr int most = descriptor_scale::limit(80);
     two_nearest best;
-    for (int k = g.rank(); k < n; k += g.size()) { best.add(hamming_by_adders(mine, at(k)), k); }
+    for (int k = g.rank(); k < n; k += g.size()) {
+      best.add(search_distance_by_adders(mine, at(k)), k);
+    }
     best = best.merged(g);
     return best.first <= most && 10 * best.first < 9 * best.second ? best.index : -1;
   }

@@ -103,7 +103,9 @@ FT_HOST_DEVICE void weigh_point(Group g, search_window v, descriptor const& orb,
   keypoints_view const kp = frame.keypoints.slice(image);
   v.radius = (strict_float(evidence_radius) * geometry.scale[v.max_level]).value;
   visit_cells(g, v, frame.grids.slice(grid), [&](int k) {
-    if (k < 0 || !inside(v, kp, k) || hamming(kp.orb(k), orb) > params.max_hamming) { return; }
+    if (k < 0 || !inside(v, kp, k) || search_distance(kp.orb(k), orb) > params.max_hamming) {
+      return;
+    }
     sum.by_chance += inlier_share(geometry, kp.octave(k), v.max_level);
   });
 }

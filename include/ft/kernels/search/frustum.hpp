@@ -95,8 +95,8 @@ FT_HOST_DEVICE visibility test_visibility(Camera const& camera, viewpoint const&
 struct local_search_params {
   float radius_factor = 1;  ///< of the windows of the left camera
   float max_distance = 0;   ///< points farther away are skipped, metres; 0 = no limit
-  int max_hamming = 100;    ///< largest Hamming distance of a match, bits
-  float ratio = 0.8f;       ///< see search_params
+  int max_hamming = detail::descriptor_scale::limit(100);  ///< see search_params
+  float ratio = 0.8f;                                      ///< see search_params
 };
 
 /// Search window of a visible map point.

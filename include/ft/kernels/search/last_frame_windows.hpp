@@ -47,8 +47,7 @@ struct last_search_params {
   float window_radius = 7;
   /// Searches all neighbouring octaves, regardless of the camera's direction of motion.
   bool ignore_motion_direction = false;
-  /// Largest Hamming distance of a match, bits.
-  int max_hamming = 100;
+  int max_hamming = detail::descriptor_scale::limit(100);  ///< see search_params
   /// With fewer matches the search is repeated with twice the radius.
   int retry_below = 0;
   /// Drops matches whose rotation differs from that of most others.

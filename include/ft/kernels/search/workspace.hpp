@@ -176,8 +176,8 @@ enum class search_kind {
 /// How descriptors are matched.
 struct search_params {
   search_kind kind = search_kind::local_map;
-  /// Largest Hamming distance of a match, bits.
-  int max_hamming = 100;
+  /// Largest Hamming distance of a match, bits; of another descriptor see detail::search_scale.
+  int max_hamming = detail::descriptor_scale::limit(100);
   /// Ratio test: largest distance of the best candidate over that of the second best, applied if
   /// both have the same octave. Local map only.
   float ratio = 0.8f;

@@ -120,7 +120,7 @@ private:
       FT_UNROLL
       for (int n = 0; n < together; ++n) {
         int const j = base + n * g.size();
-        int const distance = hamming_by_adders(mine, theirs[n]);
+        int const distance = search_distance_by_adders(mine, theirs[n]);
         best.add(j < end ? distance : best.none, j);
       }
     }

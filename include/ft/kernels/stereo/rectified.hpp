@@ -31,7 +31,8 @@ enum class column_rule {
 struct stereo_params {
   float bf = 0;             ///< baseline times fx, metres * pixels
   float max_disparity = 0;  ///< bf / baseline, pixels
-  int hamming_limit = 75;   ///< matching descriptors differ in fewer bits
+  /// Matching descriptors differ in fewer bits; of others see detail::search_scale.
+  int hamming_limit = detail::descriptor_scale::limit(75);
 
   FT_HOST_DEVICE stereo_params const& of_pair(int) const { return *this; }
 };

@@ -198,7 +198,7 @@ private:
       int const k = c.keypoint[at];
       descriptor other = c.first;
       if (at != c.range.begin + g.rank()) { other = c.orb[k]; }
-      int const distance = hamming(wanted, other);
+      int const distance = search_distance(wanted, other);
       if (k < c.first_right) {
         left.add(distance, at);
       } else {

@@ -123,16 +123,17 @@ private:
       int const child = below.first + (there ? g.rank() : 0);
       descriptor const of_child = v.orb[child];
       node_children const below_child = v.children[child];
-      auto const key = static_cast<unsigned>(hamming_by_adders(mine, of_child) * 32 + g.rank());
+      auto const key =
+          static_cast<unsigned>(search_distance_by_adders(mine, of_child) * 32 + g.rank());
       int const nearest = static_cast<int>(g.reduce(there ? key : ~0u, min_op{}) % 32);
       int const at = below.first + nearest;
       below = {g.shuffle(below_child.first, nearest), g.shuffle(below_child.count, nearest)};
       return at;
     } else {
       int at = below.first;
-      int nearest = hamming(mine, v.orb[at]);
+      int nearest = search_distance(mine, v.orb[at]);
       for (int child = at + 1; child < below.first + below.count; ++child) {
-        int const distance = hamming(mine, v.orb[child]);
+        int const distance = search_distance(mine, v.orb[child]);
         if (distance < nearest) {
           nearest = distance;
           at = child;

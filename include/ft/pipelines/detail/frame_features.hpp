@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "ft/containers/feature_grid.hpp"
+#include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
@@ -56,10 +57,12 @@ struct frame_features {
     stage_clock<Exec> untimed;
     stage_line<Exec> line(exec, untimed);
     using grids_type = decltype(grids_of(matcher, grids));
-    queue_images(
-        line,
-        from_input<grids_type>{{extractor.stages(), nullptr, grids_of(matcher, grids)}, input},
-        false);
+    if constexpr (describes_images) {
+      queue_images(
+          line,
+          from_input<grids_type>{{extractor.stages(), nullptr, grids_of(matcher, grids)}, input},
+          false);
+    }
     if constexpr (parts_of_rig::undistorts) {
       matcher.undistort(line.then("undistort"), extractor, grids);
     }

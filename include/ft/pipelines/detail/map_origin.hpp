@@ -14,6 +14,7 @@
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/rgbd_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/keypoints.hpp"
 #include "ft/containers/odometry_map.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -40,6 +41,10 @@ public:
     add("keyframes", map.keyframes.positions);
     add("searched cameras", map.keyframes.cameras);
     add("keypoints of an image", map.keyframes.capacity);
+    if (!describes_images) {
+      add("descriptor",
+          std::string(descriptor::name) + " of " + std::to_string(sizeof(descriptor)) + " bytes");
+    }
   }
 
   std::string const& text() const { return text_; }

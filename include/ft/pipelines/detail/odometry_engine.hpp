@@ -17,6 +17,7 @@
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/rgbd_rig.hpp"
+#include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -163,6 +164,11 @@ struct odometry_engine {
       }
     }
   }
+  /// @throws bad_argument if there are no keypoints of images
+  void require_images() const {
+    require(describes_images,
+            "keypoints of this odometry's FT_DESCRIPTOR are the caller's: track(given_features)");
+  }
   /// Takes the features of the next frame. @param features [batch]
   /// @throws bad_argument also without own_features; then no frame has changed
   void take_features(given_features const* features) {
@@ -196,7 +202,7 @@ private:
   }
   /// All that frames with the stages' set of features may have.
   void record_extents() {
-    record(frame_extent::whole);
+    if (describes_images) { record(frame_extent::whole); }
     if (prefetch != nullptr) { record(frame_extent::prefetched); }
     if (given.own_features) { record(frame_extent::given); }
   }
@@ -299,6 +305,9 @@ private:
     require(with.own_features || !p.own_features,
             "params.own_features needs its part: odometry(exec, rig, params, batch, "
             "ft::own_features{})");
+    require(describes_images || (p.own_features && p.prefetch == 0),
+            "an odometry of another FT_DESCRIPTOR than ORB's has params.own_features and no "
+            "prefetch: its keypoints are the caller's");
     require(!(p.prefetch > 0 && stages_type::starts_from_motion),
             "one camera has no prefetch: the keypoints of a frame depend on the frame before it");
     if (!stages_type::starts_from_motion) {

@@ -8,6 +8,7 @@
 #include <memory>
 
 #include "ft/cameras/stereo_rig.hpp"
+#include "ft/containers/keypoints.hpp"
 #include "ft/containers/vocabulary.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -306,6 +307,7 @@ template <typename Exec, typename Rig>
 std::unique_ptr<odometry_part<Exec, Rig>> make_part([[maybe_unused]] places const& given,
                                                     [[maybe_unused]] Exec const& exec,
                                                     odometry_stages<Exec, Rig>& stages) {
+  require(describes_images, "words are those of ORB: another FT_DESCRIPTOR has no places");
   require(!stages.settings.imu.present, "places are not recognised by an odometry with an IMU");
   if constexpr (has_places<typename rig_parts<Rig>::searched_rig>) {
     stages.recognizes_places = true;

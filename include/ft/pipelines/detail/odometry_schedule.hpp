@@ -8,6 +8,7 @@
 /// How the images changed is found beside their keypoints.
 #pragma once
 
+#include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
 #include "ft/pipelines/detail/frame_schedule.hpp"
 #include "ft/types/poses.hpp"
@@ -108,12 +109,10 @@ template <typename Line, typename Stages>
 void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   using part = typename Stages::part_type;
   bool const parts = s.parts_launch();
-  if (extent == frame_extent::whole) {
-    queue_odometry_motion(line, s);
-  } else if (extent == frame_extent::prefetched) {
-    queue_prefetched_motion(line, s);
-  } else {
-    queue_given_motion(line, s);
+  if (extent == frame_extent::given) { queue_given_motion(line, s); }
+  if constexpr (describes_images) {
+    if (extent == frame_extent::whole) { queue_odometry_motion(line, s); }
+    if (extent == frame_extent::prefetched) { queue_prefetched_motion(line, s); }
   }
   s.search_without_window(line.then("pose last frame"));
   s.plan_search(line.then("update local map"));

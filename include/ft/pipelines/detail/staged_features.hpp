@@ -57,6 +57,13 @@ public:
     if (limits_.needs_depths() && of_.depth == nullptr && of_.count > 0) {
       refuse("depth is null: an rgbd_rig needs it, NaN = none");
     }
+    for (int i = 0; of_.depth != nullptr && i < of_.count; ++i) {
+      float const z = of_.depth[i];
+      if (z >= taken_keypoints_view::farthest && z <= std::numeric_limits<float>::max()) {
+        refuse("depth " + std::to_string(i) + " is " + number_text(z) + ", must be below " +
+               number_text(taken_keypoints_view::farthest) + " m; NaN = none");
+      }
+    }
   }
   void no_partners() const {
     if (of_.right_x != nullptr || of_.depth != nullptr) {

@@ -20,7 +20,7 @@ namespace detail {
 /// Distances between the descriptors of a point.
 using descriptor_distances = int[point_descriptors * point_descriptors];
 
-/// Number of the most typical descriptor of a point: the one whose median Hamming distance to all
+/// Number of the most typical descriptor of a point: the one whose median distance to all
 /// of them, itself included, is least; the oldest one of equals. The median of n distances is the
 /// one at place (n - 1) / 2 of their ascending order.
 /// @param distance workspace
@@ -31,11 +31,12 @@ FT_HOST_DEVICE int most_typical(Group g, descriptor_distances& distance, descrip
                                 int first, int end) {
   int const n = end - first;
   for (int pair = g.rank(); pair < n * n; pair += g.size()) {
-    distance[pair] = hamming(recent[(first + pair / n) % point_descriptors],
-                             recent[(first + pair % n) % point_descriptors]);
+    distance[pair] = search_distance(recent[(first + pair / n) % point_descriptors],
+                                     recent[(first + pair % n) % point_descriptors]);
   }
   g.sync();
-  int best = 257 * point_descriptors;  // a median and the number of its descriptor
+  int best = (descriptor_scale::most + 1) *
+             point_descriptors;  // a median and the number of its descriptor
   for (int pair = g.rank(); pair < n * n; pair += g.size()) {
     int const mine = distance[pair];
     int const row = pair / n * n;

@@ -174,8 +174,8 @@ struct window_list {
 
 /// The two nearest keypoints of a window that are not taken.
 struct nearest_two {
-  int best = 256;
-  int second = 256;
+  int best = descriptor_scale::most;
+  int second = descriptor_scale::most;
   int best_k = -1;
   int second_k = -1;
 

@@ -52,8 +52,10 @@ struct frame_search {
 /// Largest descriptor distance that can matter, as the best or the second best candidate.
 FT_HOST_DEVICE inline int listed_distance(search_params const& p) {
   if (!(p.kind == search_kind::local_map && p.ratio > 0)) { return p.max_hamming; }
-  float const second = min_of(static_cast<float>(p.max_hamming) / p.ratio, 256.0f);
-  return max_of(p.max_hamming, min_of(256, static_cast<int>(second) + 1));
+  constexpr int most = descriptor_scale::most;
+  float const second =
+      min_of(static_cast<float>(p.max_hamming) / p.ratio, static_cast<float>(most));
+  return max_of(p.max_hamming, min_of(most, static_cast<int>(second) + 1));
 }
 
 /// Whether a keypoint's column r in the right image, -1 = none, lies outside the window.
@@ -67,7 +69,7 @@ FT_HOST_DEVICE inline int candidate_distance(search_window const& w, keypoints_v
                                              int limit) {
   if (!inside(w, kp, k)) { return -1; }
   if (right_x != nullptr && misses_right(w, right_x[k])) { return -1; }
-  int const distance = hamming(wanted, kp.orb(k));
+  int const distance = search_distance(wanted, kp.orb(k));
   return distance <= limit ? distance : -1;
 }
 

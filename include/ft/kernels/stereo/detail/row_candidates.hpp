@@ -97,7 +97,7 @@ FT_HOST_DEVICE row_candidate nearest_in_rows(Group g, descriptor const& mine,
     FT_UNROLL
     for (int n = 0; n < together; ++n) {
       if (!near[n]) { continue; }
-      int const distance = hamming(mine, theirs[n]);
+      int const distance = search_distance(mine, theirs[n]);
       best = min_of(best,
                     static_cast<unsigned long long>(distance) << 32 | static_cast<unsigned>(j[n]));
     }

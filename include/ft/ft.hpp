@@ -5,6 +5,7 @@
 #pragma once
 
 #include "ft/any_odometry.hpp"
+#include "ft/cameras/any_camera.hpp"
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/double_sphere.hpp"
 #include "ft/cameras/field_of_view.hpp"

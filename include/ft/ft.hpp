@@ -10,6 +10,7 @@
 #include "ft/cameras/double_sphere.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/mixed_rig.hpp"
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"

@@ -55,14 +55,12 @@ struct any_camera {
   /// @throws bad_argument for a kind that is none of these, or what the model's check() throws for
   void check() const {
     check_camera(*this);
-    bool const known =
-        kind == number(camera_kind::pinhole) || kind == number(camera_kind::radtan8) ||
-        kind == number(camera_kind::kannala_brandt) || kind == number(camera_kind::double_sphere);
-    detail::require(known, "camera kind must be pinhole, radtan8, kannala_brandt or double_sphere");
-    with([](auto const& camera) {
-      camera.check();
-      return 0;
-    });
+    if (is(camera_kind::kannala_brandt)) { return as<kannala_brandt<Scalar>>().check(); }
+    if (is(camera_kind::radtan8)) { return as<radtan8<Scalar>>().check(); }
+    if (is(camera_kind::double_sphere)) { return as<double_sphere<Scalar>>().check(); }
+    detail::require(is(camera_kind::pinhole),
+                    "camera kind must be pinhole, radtan8, kannala_brandt or double_sphere");
+    as<pinhole<Scalar>>().check();
   }
   FT_HOST_DEVICE bool is(camera_kind k) const { return kind == number(k); }
 

@@ -296,7 +296,8 @@ void check_rig(calibration_check& c, multi_rig<N, Camera> const& rig, int, int) 
 /// Looks for signs that a calibration is another camera's, another size's or in other units: wrong
 /// calibrations are tracked without an error, and wrongly. Also finds what check() refuses, all of
 /// it. Host; for set-up: allocates.
-/// @param rig rectified_rig, stereo_rig, distorted_pair, rgbd_rig, monocular_rig, multi_rig or mixed_rig
+/// @param rig rectified_rig, stereo_rig, distorted_pair, rgbd_rig, monocular_rig, multi_rig or
+/// mixed_rig
 /// @param width,height pixels of the images that are searched; those that come in, but for a
 ///   distorted_pair that has a size of its own
 /// @return nothing for an ordinary calibration

@@ -158,6 +158,13 @@ TYPED_TEST(mixed_rig_odometry, without_arc_tangents_gives_the_bits_of_the_host) 
   auto const here = follow(backend.exec, rig, walk);
   expect_tracked(here);
   EXPECT_LT(here.rms, 0.02);
+  auto params = test::room::odometry_params(8192);
+  params.prefetch = 2;
+  ft::odometry<typename TypeParam::exec_type, rig_type> prefetching(backend.exec, rig, params);
+  test::expect_same(
+      test::track_prefetched(prefetching, walk.size(), 50'000'000,
+                             [&](std::size_t i) { return views_of<cameras>(walk[i]); }),
+      here.frames);
   auto const host = follow(ft::host_exec(1), rig, walk);
   for (std::size_t f = 0; f < walk.size(); ++f) {
     EXPECT_TRUE(test::same(here.frames[f], host.frames[f])) << f;

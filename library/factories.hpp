@@ -29,6 +29,7 @@ struct odometry_request {
   any_odometry make_fisheye(odometry_request const&);   \
   any_odometry make_monocular(odometry_request const&); \
   any_odometry make_multi(odometry_request const&);     \
+  any_odometry make_mixed(odometry_request const&);     \
   }
 FT_LIBRARY_FACTORIES(host)
 FT_LIBRARY_FACTORIES(cuda)

@@ -20,6 +20,17 @@ void require_cameras(rig_description const& rig) {
   }
 }
 
+/// Whether a multi rig has other cameras than pinholes and rectified pairs of them.
+bool is_mixed(rig_description const& rig) {
+  bool mixed = false;
+  for (int c = 0; c < rig.cameras && c < most_cameras; ++c) {
+    camera_description const& camera = rig.camera[c];
+    mixed =
+        mixed || camera.kind != camera_kind::pinhole || camera.right >= 0 || camera.has_depth_image;
+  }
+  return mixed;
+}
+
 using factory = any_odometry(library::odometry_request const&);
 
 #if FT_LIBRARY_HAS_CUDA
@@ -42,8 +53,8 @@ factory& factory_of(descriptor_kind kind, [[maybe_unused]] bool gpu) {
                      ", which ft::odometry was built without");
 }
 
-factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
-  switch (kind) {
+factory& factory_of(rig_description const& rig, [[maybe_unused]] bool gpu) {
+  switch (rig.kind) {
     case rig_kind::rectified_pair:
     case rig_kind::distorted_pair:
     case rig_kind::rgbd:
@@ -53,9 +64,10 @@ factory& factory_of(rig_kind kind, [[maybe_unused]] bool gpu) {
     case rig_kind::monocular:
       return *FT_LIBRARY_CHOOSE(make_monocular);
     case rig_kind::multi:
+      if (is_mixed(rig)) { return *FT_LIBRARY_CHOOSE(make_mixed); }
       return *FT_LIBRARY_CHOOSE(make_multi);
   }
-  throw bad_argument("ft: rig_description::kind is " + std::to_string(static_cast<int>(kind)) +
+  throw bad_argument("ft: rig_description::kind is " + std::to_string(static_cast<int>(rig.kind)) +
                      ", must be in [0, " + std::to_string(static_cast<int>(rig_kind::multi)) + "]");
 }
 
@@ -75,7 +87,7 @@ any_odometry make_odometry(device const& where, rig_description const& rig,
                        ", but ft::odometry was built without CUDA: it has the host, gpu -1");
   }
 #endif
-  factory& of_rig = factory_of(rig.kind, gpu);  // refuses what is none
+  factory& of_rig = factory_of(rig, gpu);  // refuses what is none
   factory& make = descriptors == descriptor_kind::orb ? of_rig : factory_of(descriptors, gpu);
   require_cameras(rig);
   return make({where, rig, params, batch, places});

@@ -6,9 +6,12 @@
 #include <string>
 
 #include "ft/any_odometry.hpp"
+#include "ft/cameras/any_camera.hpp"
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/distorted_pair.hpp"
+#include "ft/cameras/double_sphere.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/mixed_rig.hpp"
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"
@@ -104,6 +107,64 @@ multi_rig<N> multi_of(rig_description const& of) {
   for (int i = 0; i < of.cameras; ++i) {
     rig.of[i] = {pinhole_of(of, i), of.camera[i].baseline,
                  of.camera[i].T_camera_body.cast<float>()};
+  }
+  return rig;
+}
+
+/// Camera c of any model. @throws bad_argument, with the models there are
+inline any_camera<float> any_camera_of(rig_description const& rig, int c) {
+  constexpr char const* there_are =
+      "multi rigs of pinhole, radtan4, radtan5, radtan8, kannala_brandt and double_sphere";
+  camera_kind const kind = rig.camera[c].kind;
+  auto const with = [&](auto camera) {
+    using camera_type = decltype(camera);
+    return any_camera<float>::of(camera_of<camera_type>(rig, c, kind, there_are));
+  };
+  switch (kind) {
+    case camera_kind::pinhole:
+      return with(pinhole<float>{});
+    case camera_kind::radtan4:
+      return with(radtan4<float>{});
+    case camera_kind::radtan5:
+      return with(radtan5<float>{});
+    case camera_kind::radtan8:
+      return with(radtan8<float>{});
+    case camera_kind::kannala_brandt:
+      return with(kannala_brandt<float>{});
+    case camera_kind::double_sphere:
+      return with(double_sphere<float>{});
+    default:
+      break;
+  }
+  refuse(rig, c, there_are);
+}
+
+/// @tparam N as in multi_of(). @throws bad_argument
+template <int N>
+mixed_rig<N> mixed_of(rig_description const& of) {
+  mixed_rig<N> rig{};
+  for (mixed_rig_camera& c : rig.of) { c = mixed_rig_camera::none(); }
+  for (int i = 0; i < of.cameras; ++i) {
+    camera_description const& given = of.camera[i];
+    mixed_rig_camera c =
+        mixed_rig_camera::single(any_camera_of(of, i), given.T_camera_body.cast<float>());
+    c.baseline = given.right >= 0 ? 0 : given.baseline;
+    c.has_depth_image = given.has_depth_image;
+    c.has_right_image = !given.has_depth_image && given.right < 0 && given.baseline != 0;
+    if (c.has_depth_image) {
+      c.depth_scale = narrow(of.depth_scale);
+      c.min_depth = narrow(of.min_depth);
+      c.max_depth = narrow(of.max_depth);
+    }
+    rig.of[i] = c;
+  }
+  for (int i = 0; i < of.cameras; ++i) {
+    int const right = of.camera[i].right;
+    if (right >= of.cameras) {
+      throw bad_argument("ft: the right camera of camera " + std::to_string(i) + " is " +
+                         std::to_string(right) + ", must be below " + std::to_string(of.cameras));
+    }
+    if (right >= 0) { pair_up(rig, i, right); }
   }
   return rig;
 }

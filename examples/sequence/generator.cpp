@@ -42,6 +42,7 @@ struct generator::impl {
   generated::hiding_surfaces hiding;
   generated::spline route;
   std::array<view, 2> views;
+  std::vector<view> further;
   std::vector<float> normal;
   std::vector<std::int64_t> imu_times;
   double gain_phase = 0;
@@ -83,6 +84,13 @@ struct generator::impl {
   }
   /// @param T_left_other see generator::render @param first_noise number of the first image's noise
   stereo_frame render(int i, Eigen::Isometry3d const& T_left_other, std::size_t first_noise) const;
+  /// @param number of the noise
+  image picture(int i, view const& v, Eigen::Isometry3d const& T_left_other,
+                std::size_t number) const;
+  /// Of the nearest surface along a ray, in lengths of `direction`; the largest double = there is
+  /// none.
+  double nearest(Eigen::Vector3d const& start, Eigen::Vector3d const& direction) const;
+  depth_image depths(int i, view const& v) const;
   bool within(std::vector<time_span> const& spans, int i) const {
     double const t = seconds(time_ns(i));
     return std::any_of(spans.begin(), spans.end(), [t](time_span const& s) {
@@ -130,6 +138,9 @@ generator::generator(generator_options const& options) : impl_(std::make_unique<
   m.hiding = generated::hide(key(o.seed, 5), o.hiding, m.rig.left, duration);
   m.views[0] = generated::make_view(m.rig.left, Eigen::Isometry3d::Identity(), o.vignetting);
   m.views[1] = generated::make_view(m.rig.right, m.rig.T_left_right, o.vignetting);
+  for (further_camera const& c : o.further) {
+    m.further.push_back(generated::make_view(c.camera, c.T_left_this, o.vignetting));
+  }
   m.normal = generated::normal_table();
   m.gain_phase = random_stream(key(o.seed, 3)).uniform(0, 2 * pi);
   std::int64_t const last = m.time_ns(o.frames - 1);
@@ -217,18 +228,64 @@ stereo_frame generator::impl::render(int i, Eigen::Isometry3d const& T_left_othe
                                      std::size_t first_noise) const {
   impl const& m = *this;
   m.check_frame(i);
-  double const t = impl::seconds(m.time_ns(i));
-  double const gain =
-      m.options.exposure_change ? 1.0 + 0.2 * std::sin(2 * pi * t / 6.5 + m.gain_phase) : 1.0;
   stereo_frame out;
   out.time_ns = m.time_ns(i);
-  for (std::size_t c = 0; c < 2; ++c) {
-    view const& v = m.views[c];
-    auto const radiance = m.collect_light(i, v, T_left_other);
-    (c == 0 ? out.left : out.right) = generated::expose(
-        v, radiance, static_cast<float>(gain), static_cast<float>(m.options.noise_sigma), m.normal,
-        key(m.options.seed, 1000 + static_cast<std::uint64_t>(i), first_noise + c));
+  out.left = picture(i, m.views[0], T_left_other, first_noise);
+  out.right = picture(i, m.views[1], T_left_other, first_noise + 1);
+  return out;
+}
+
+image generator::impl::picture(int i, view const& v, Eigen::Isometry3d const& T_left_other,
+                               std::size_t number) const {
+  double const t = seconds(time_ns(i));
+  double const gain =
+      options.exposure_change ? 1.0 + 0.2 * std::sin(2 * pi * t / 6.5 + gain_phase) : 1.0;
+  return generated::expose(v, collect_light(i, v, T_left_other), static_cast<float>(gain),
+                           static_cast<float>(options.noise_sigma), normal,
+                           key(options.seed, 1000 + static_cast<std::uint64_t>(i), number));
+}
+
+double generator::impl::nearest(Eigen::Vector3d const& start,
+                                Eigen::Vector3d const& direction) const {
+  double best = std::numeric_limits<double>::max();
+  for (surface const& s : surfaces) {
+    double const towards = s.normal.dot(direction);
+    if (towards >= 0) { continue; }
+    double const far = s.normal.dot(s.origin - start) / towards;
+    if (far <= 0 || far >= best) { continue; }
+    Eigen::Vector3d const d = start + far * direction - s.origin;
+    double const a = d.dot(s.along);
+    double const b = d.dot(s.up);
+    if (a >= 0 && b >= 0 && a <= s.width && b <= s.height) { best = far; }
   }
+  return best;
+}
+
+depth_image generator::impl::depths(int i, view const& v) const {
+  Eigen::Isometry3d const T = camera_motion(time_ns(i)).T_world_camera * v.T_left_this;
+  depth_image out;
+  out.width = v.camera.width;
+  out.height = v.camera.height;
+  out.pixels.reserve(v.rays.size());
+  for (Eigen::Vector3f const& r : v.rays) {
+    Eigen::Vector3d const ray = r.cast<double>();
+    double const z = 1000 * ray.z() * nearest(T.translation(), T.linear() * ray);
+    out.pixels.push_back(z > 0 && z < 65535 ? static_cast<std::uint16_t>(std::lround(z)) : 0);
+  }
+  return out;
+}
+
+further_image generator::render_further(int i, int k) const {
+  impl const& m = *impl_;
+  m.check_frame(i);
+  if (k < 0 || k >= static_cast<int>(m.further.size())) {
+    throw error("generator: further camera " + std::to_string(k) + "; there are " +
+                std::to_string(m.further.size()));
+  }
+  auto const at = static_cast<std::size_t>(k);
+  further_image out;
+  out.grey = m.picture(i, m.further[at], Eigen::Isometry3d::Identity(), 4 + at);
+  if (m.options.further[at].has_depth) { out.depth = m.depths(i, m.further[at]); }
   return out;
 }
 
@@ -280,17 +337,7 @@ std::optional<Eigen::Vector3d> generator::surface_point(int i, int camera, doubl
   Eigen::Isometry3d const pose = m.pose(i, camera);
   Eigen::Vector3d const start = pose.translation();
   Eigen::Vector3d const direction = pose.linear() * *ray;
-  double best = std::numeric_limits<double>::max();
-  for (surface const& s : m.surfaces) {
-    double const towards = s.normal.dot(direction);
-    if (towards >= 0) { continue; }
-    double const far = s.normal.dot(s.origin - start) / towards;
-    if (far <= 0 || far >= best) { continue; }
-    Eigen::Vector3d const d = start + far * direction - s.origin;
-    double const a = d.dot(s.along);
-    double const b = d.dot(s.up);
-    if (a >= 0 && b >= 0 && a <= s.width && b <= s.height) { best = far; }
-  }
+  double const best = m.nearest(start, direction);
   if (best == std::numeric_limits<double>::max()) { return std::nullopt; }
   return Eigen::Vector3d(best * *ray);
 }

@@ -53,6 +53,18 @@ struct hiding_things {
   double crossing_speed = 0.5;  ///< m/s, 0 to 10
 };
 
+/// A camera beside the pair.
+struct further_camera {
+  camera_intrinsics camera;                                       ///< a pinhole or Kannala-Brandt
+  Eigen::Isometry3d T_left_this = Eigen::Isometry3d::Identity();  ///< its points to the left camera
+  int right_of = -1;       ///< it is the right one of a pair whose left one is this further camera
+  bool has_depth = false;  ///< it has depth images
+};
+struct further_image {
+  image grey;
+  depth_image depth;  ///< millimetres, of a camera that has them; 0 = none, or above 65 m
+};
+
 struct generator_options {
   rig_kind rig = rig_kind::pinhole;
   /// Pixels, 32 to 4096; 0 = the rig's own, or computed from the other side with the rig's aspect
@@ -76,13 +88,19 @@ struct generator_options {
   double look_aside = 0;  ///< in the corridor: degrees to the left of the way, -180 to 180
   double repeat = 0;  ///< the corridor looks the same after so many metres, 0.2 to 100; 0 = never
   hiding_things hiding;
-  double imu_rate = 200;       ///< Hz, 10 to 10000
-  imu_noise imu;               ///< densities, at most 1 (gyro) and 10 (accelerometer)
+  std::vector<further_camera> further;  ///< at most 14
+  double imu_rate = 200;                ///< Hz, 10 to 10000
+  imu_noise imu;                        ///< densities, at most 1 (gyro) and 10 (accelerometer)
   double gyro_bias = 0.005;    ///< standard deviation of each axis' first bias, rad/s, 0 to 1
   double accel_bias = 0.03;    ///< likewise, m/s^2, 0 to 10
   double imu_noise_scale = 1;  ///< times densities and first biases, 0 to 100; 0 = ideal samples
   int threads = 0;             ///< for building the textures, 1 to 256; 0 = all of the machine
 };
+
+/// A rig of six cameras of one size: two fisheye pairs, of which the second looks aside, a pinhole
+/// that looks half aside, and a pinhole with depth images that looks to the other side.
+/// @param options of the sequence; its rig, size and further cameras are set
+void use_mixed_rig(generator_options& options);
 
 /// State of the body (IMU) at an instant.
 struct body_state {
@@ -119,6 +137,9 @@ public:
   /// The same of another pair of such cameras on the same body. @param T_left_other its left camera
   /// to that of render(i)
   stereo_frame render(int i, Eigen::Isometry3d const& T_left_other) const;
+
+  /// Image k of frame i is that of options().further[k].
+  further_image render_further(int i, int k) const;
 
   /// One pose of the left camera per frame.
   trajectory ground_truth() const;

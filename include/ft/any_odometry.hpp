@@ -40,6 +40,7 @@ struct device {
 struct any_images {
   gray_view gray[2 * most_cameras];
   depth_view depth = {};
+  depth_view depths[most_cameras] = {};  ///< of a multi rig: of the cameras that have one, in order
 };
 
 /// With what make_odometry() finds lost cameras by words; see places.

@@ -5,10 +5,12 @@
 #pragma once
 
 #include "ft/any_odometry.hpp"
+#include "ft/cameras/any_camera.hpp"
 #include "ft/cameras/distorted_pair.hpp"
 #include "ft/cameras/double_sphere.hpp"
 #include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/mixed_rig.hpp"
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/pinhole.hpp"

@@ -120,6 +120,7 @@
 #include "ft/kernels/stereo/outlier_cut.hpp"
 #include "ft/kernels/stereo/rectified.hpp"
 #include "ft/kernels/stereo/refine_partners.hpp"
+#include "ft/kernels/stereo/rig_depths.hpp"
 #include "ft/kernels/two_view/reconstruct.hpp"
 #include "ft/kernels/upload.hpp"
 #include "ft/kernels/window/adjust_window.hpp"

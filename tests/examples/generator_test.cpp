@@ -47,6 +47,54 @@ generator_options plain(rig_kind rig) {
   return o;
 }
 
+TEST(generator, further_cameras_see_the_same_scene) {
+  auto o = plain(rig_kind::fisheye);
+  o.frames = 3;
+  generator const pair(o);
+  seq::camera_intrinsics pinhole;
+  pinhole.width = 96;
+  pinhole.height = 64;
+  pinhole.fx = pinhole.fy = 60;
+  pinhole.cx = 47;
+  pinhole.cy = 33;
+  o.further = {{pair.rig().right, pair.rig().T_left_right, -1, false},
+               {pinhole, Eigen::Isometry3d::Identity(), -1, true}};
+  generator const all(o);
+  EXPECT_EQ(all.render_further(2, 0).grey.pixels, all.render(2).right.pixels);
+  EXPECT_EQ(all.render(2).left.pixels, pair.render(2).left.pixels);
+  EXPECT_TRUE(all.render_further(2, 0).depth.pixels.empty());
+  auto const seen = all.render_further(2, 1);
+  ASSERT_EQ(seen.depth.pixels.size(), 96u * 64u);
+  for (int v = 0; v < 64; v += 7) {
+    for (int u = 0; u < 96; u += 7) {
+      double const z = seen.depth.pixels[static_cast<std::size_t>(96 * v + u)] / 1000.0;
+      Eigen::Vector3d const point(z * (u - 47) / 60.0, z * (v - 33) / 60.0, z);
+      auto const pixel = all.project(0, point);
+      ASSERT_TRUE(pixel);
+      EXPECT_NEAR(all.depth(2, pixel->x(), pixel->y()), z, 2e-3) << u << " " << v;
+    }
+  }
+  EXPECT_THROW(all.render_further(0, 2), seq::error);
+  o.further[0].right_of = 0;
+  EXPECT_THROW(generator{o}, seq::error);
+}
+
+TEST(generator, a_mixed_rig_has_two_fisheye_pairs_a_pinhole_and_a_depth_camera) {
+  generator_options o;
+  o.frames = 2;
+  seq::use_mixed_rig(o);
+  generator const g(o);
+  ASSERT_EQ(g.options().further.size(), 4u);
+  EXPECT_EQ(g.options().further[1].right_of, 0);
+  EXPECT_EQ(g.options().further[0].camera.model, seq::lens::kannala_brandt);
+  EXPECT_EQ(g.options().further[2].camera.model, seq::lens::pinhole);
+  EXPECT_TRUE(g.options().further[3].has_depth);
+  for (auto const& c : g.options().further) {
+    EXPECT_EQ(c.camera.width, g.options().width);
+    EXPECT_EQ(c.camera.height, g.options().height);
+  }
+}
+
 class folder {
 public:
   explicit folder(std::string const& name)

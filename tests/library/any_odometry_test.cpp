@@ -329,4 +329,50 @@ TEST(rig_description, fills_a_multi_rig) {
   EXPECT_FALSE(made.of[3].used);
 }
 
+TEST(rig_description, fills_a_mixed_rig) {
+  auto const fisheye = ft::camera_description::make(ft::camera_kind::kannala_brandt,
+                                                    {300, 301, 240, 180, 0.1, 0.2, 0.3, 0.4});
+  ft::rig_description rig;
+  rig.kind = ft::rig_kind::multi;
+  rig.cameras = 4;
+  rig.camera[0] = rig.camera[2] = fisheye;
+  rig.camera[0].right = 2;
+  rig.camera[2].T_camera_body.t.x = -0.2;
+  rig.camera[1] = ft::camera_description::make(ft::camera_kind::pinhole, {300, 301, 240, 180});
+  rig.camera[1].baseline = 0.1;
+  rig.camera[3] =
+      ft::camera_description::make(ft::camera_kind::radtan5, {310, 311, 241, 181, -0.1, 0.01});
+  rig.camera[3].baseline = 0.08;
+  rig.camera[3].has_depth_image = true;
+  rig.depth_scale = 0.001;
+  rig.max_depth = 4;
+  auto const made = ft::library::host::mixed_of<5>(rig);
+  made.check();
+  EXPECT_EQ(made.of[0].right, 2);
+  EXPECT_EQ(made.of[2].left, 0);
+  EXPECT_NEAR(made.of[0].baseline, 0.2, 1e-7);
+  EXPECT_TRUE(made.of[0].camera.is(ft::camera_kind::kannala_brandt));
+  EXPECT_EQ(made.of[0].camera.more[3], 0.4f);
+  EXPECT_TRUE(made.of[1].has_right_image);
+  EXPECT_TRUE(made.of[3].camera.is(ft::camera_kind::radtan8));
+  EXPECT_EQ(made.of[3].camera.more[1], 0.01f);
+  EXPECT_TRUE(made.of[3].has_depth_image);
+  EXPECT_EQ(made.of[3].depth_scale, 0.001f);
+  EXPECT_EQ(made.of[3].max_depth, 4.0f);
+  EXPECT_FALSE(made.of[4].used);
+  auto const refused = [](ft::rig_description const& of, char const* part) {
+    EXPECT_REFUSED(ft::make_odometry({}, of, params()), part);
+  };
+  auto wrong = rig;
+  wrong.camera[0].right = 4;
+  refused(wrong, "right camera of camera 0 is 4, must be below 4");
+  wrong = rig;
+  wrong.camera[1].right = 2;  // of two left ones
+  wrong.camera[1].baseline = 0;
+  refused(wrong, "do not name each other as a pair");
+  wrong = rig;
+  wrong.camera[3].kind = ft::camera_kind::unified;
+  refused(wrong, "camera 3 of the multi rig is unified; ft::odometry was compiled for multi rigs");
+}
+
 }  // namespace any_odometry_test

@@ -47,6 +47,24 @@ void check_hiding(generator_options const& o) {
   }
 }
 
+void check_further(std::vector<further_camera> const& all) {
+  check("number of further cameras", all.size(), std::size_t{0}, std::size_t{14});
+  for (std::size_t k = 0; k < all.size(); ++k) {
+    camera_intrinsics const& c = all[k].camera;
+    check("further: width", c.width, 32, 4096);
+    check("further: height", c.height, 32, 4096);
+    check("further: fx", c.fx, 1.0, 1e5);
+    check("further: fy", c.fy, 1.0, 1e5);
+    check("further: right_of", all[k].right_of, -1, static_cast<int>(k) - 1);
+    bool const pinhole = c.model == lens::pinhole;
+    if (!pinhole && (c.model != lens::kannala_brandt || c.distortion.size() != 4)) {
+      throw error(
+          "generator: a further camera must be a pinhole, or Kannala-Brandt with four "
+          "coefficients");
+    }
+  }
+}
+
 Eigen::Matrix3d small_rotation(double x, double y, double z) {
   Eigen::Vector3d const r(radians(x), radians(y), radians(z));
   return Eigen::AngleAxisd(r.norm(), r.normalized()).toRotationMatrix();
@@ -82,6 +100,7 @@ generator_options complete(generator_options o) {
   check("look_aside", o.look_aside, -180.0, 180.0);
   check("repeat", o.repeat, 0.2, 100.0, true);
   check_hiding(o);
+  check_further(o.further);
   check("threads", o.threads, 1, 256, true);
   if (o.rig != rig_kind::pinhole && o.rig != rig_kind::fisheye) {
     throw error("generator: unknown rig " + std::to_string(static_cast<int>(o.rig)));
@@ -140,3 +159,31 @@ stereo_rig make_rig(generator_options const& o) {
 }
 
 }  // namespace seq::generated
+
+namespace seq {
+
+void use_mixed_rig(generator_options& options) {
+  options.rig = rig_kind::fisheye;
+  options.width = options.height = 512;
+  options.further.clear();
+  stereo_rig const pair = generated::make_rig(generated::complete(options));
+  auto const turned = [](double degrees, double x, double y, double z) {
+    Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+    T.linear() =
+        Eigen::AngleAxisd(generated::radians(degrees), Eigen::Vector3d::UnitY()).toRotationMatrix();
+    T.translation() = Eigen::Vector3d(x, y, z);
+    return T;
+  };
+  camera_intrinsics pinhole;
+  pinhole.width = pinhole.height = 512;
+  pinhole.fx = pinhole.fy = 300;
+  pinhole.cx = 258.2;
+  pinhole.cy = 251.7;
+  Eigen::Isometry3d const aside = turned(80, 0.12, 0.01, -0.05);
+  options.further = {{pair.left, aside, -1, false},
+                     {pair.right, aside * pair.T_left_right, 0, false},
+                     {pinhole, turned(-40, -0.04, 0.03, 0.01), -1, false},
+                     {pinhole, turned(-95, -0.1, 0, -0.06), -1, true}};
+}
+
+}  // namespace seq

@@ -270,14 +270,14 @@ template <typename Camera>
 void check_rig(calibration_check& c, monocular_rig<Camera> const& rig, int, int) {
   c.camera("camera", rig.camera);
 }
-template <int N>
-void check_rig(calibration_check& c, multi_rig<N> const& rig, int, int) {
+template <int N, typename Camera>
+void check_rig(calibration_check& c, multi_rig<N, Camera> const& rig, int, int) {
   for (int i = 0; i < N; ++i) {
-    rig_camera const& of = rig.of[i];
+    Camera const& of = rig.of[i];
     if (!of.used) { continue; }
     std::string const which = "camera " + std::to_string(i);
     c.camera(which, of.camera);
-    if (!of.single()) { c.baseline(which + ": the baseline", of.baseline); }
+    if (of.baseline > 0) { c.baseline(which + ": the baseline", of.baseline); }
     if (!c.finite_motion(which + ": T_cb", of.T_cb)) { continue; }
     rig_camera const plain{{1, 1, 0, 0}, 0, of.T_cb, true};
     if (c.refused([&] { plain.check(); }, which)) { continue; }
@@ -296,7 +296,8 @@ void check_rig(calibration_check& c, multi_rig<N> const& rig, int, int) {
 /// Looks for signs that a calibration is another camera's, another size's or in other units: wrong
 /// calibrations are tracked without an error, and wrongly. Also finds what check() refuses, all of
 /// it. Host; for set-up: allocates.
-/// @param rig rectified_rig, stereo_rig, distorted_pair, rgbd_rig, monocular_rig or multi_rig
+/// @param rig rectified_rig, stereo_rig, distorted_pair, rgbd_rig, monocular_rig, multi_rig or
+/// mixed_rig
 /// @param width,height pixels of the images that are searched; those that come in, but for a
 ///   distorted_pair that has a size of its own
 /// @return nothing for an ordinary calibration

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cmath>
+#include <type_traits>
 
 #include "ft/cameras/pinhole.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -12,6 +13,27 @@
 
 namespace ft {
 inline namespace FT_ABI {
+
+namespace detail {
+
+/// @throws bad_argument for a motion of a rig's camera that is not rigid
+inline void require_rigid(pose const& T_cb) {
+  for (float const v : T_cb.R.m) { detail::require_finite("rig rotation", v); }
+  float const t[3] = {T_cb.t.x, T_cb.t.y, T_cb.t.z};
+  for (float const v : t) { detail::require_finite("rig translation", v); }
+  mat3<float> const RRt = T_cb.R * T_cb.R.transposed();
+  for (int i = 0; i < 9; ++i) {
+    detail::require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0f : 0.0f)) < 1e-3f,
+                    "a camera's rotation is not a rotation matrix");
+  }
+  auto const& m = T_cb.R.m;
+  vec3<float> const x{m[0], m[1], m[2]};
+  vec3<float> const y{m[3], m[4], m[5]};
+  vec3<float> const z{m[6], m[7], m[8]};
+  detail::require(dot(cross(x, y), z) > 0, "a camera's rotation is a reflection");
+}
+
+}  // namespace detail
 
 /// A camera of a multi_rig: the left one of a rectified pair, or a single one.
 struct rig_camera {
@@ -40,19 +62,7 @@ struct rig_camera {
     if (baseline != 0) {
       detail::require_range("baseline", static_cast<float>(baseline), 1e-6f, 1e6f);
     }
-    for (float const v : T_cb.R.m) { detail::require_finite("rig rotation", v); }
-    float const t[3] = {T_cb.t.x, T_cb.t.y, T_cb.t.z};
-    for (float const v : t) { detail::require_finite("rig translation", v); }
-    mat3<float> const RRt = T_cb.R * T_cb.R.transposed();
-    for (int i = 0; i < 9; ++i) {
-      detail::require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0f : 0.0f)) < 1e-3f,
-                      "a camera's rotation is not a rotation matrix");
-    }
-    auto const& m = T_cb.R.m;
-    vec3<float> const x{m[0], m[1], m[2]};
-    vec3<float> const y{m[3], m[4], m[5]};
-    vec3<float> const z{m[6], m[7], m[8]};
-    detail::require(dot(cross(x, y), z) > 0, "a camera's rotation is a reflection");
+    detail::require_rigid(T_cb);
   }
 };
 
@@ -62,17 +72,18 @@ struct rig_camera {
 ///
 /// Image 2 c of a frame is that of camera c, image 2 c + 1 the right one of its pair. A single
 /// camera has no right image; its keypoints have no depth.
-template <int N>
+/// @tparam Camera rig_camera, or the mixed_rig_camera of a mixed_rig
+template <int N, typename Camera = rig_camera>
 struct multi_rig {
   static_assert(N >= 1 && N <= 16, "a rig has 1 to 16 cameras");
   static constexpr bool rectified = true;
   static constexpr int cameras = N;
   static constexpr int images = 2 * N;
   static constexpr int searches = N;
-  rig_camera of[N];
+  Camera of[N];
 
   /// Camera c, in the terms of a rectified_rig.
-  FT_HOST_DEVICE rig_camera const& pair(int c) const { return of[c]; }
+  FT_HOST_DEVICE Camera const& pair(int c) const { return of[c]; }
 
   /// Point in the body's frame to camera c's.
   template <typename Real>
@@ -104,11 +115,18 @@ struct multi_rig {
     for (int c = 0; c < N; ++c) { longest = of[c].baseline > longest ? of[c].baseline : longest; }
     return static_cast<float>(longest);
   }
-  /// @throws bad_argument as rig_camera::check()
+  /// @throws bad_argument as the check() of a camera, and for pairs that are none
   void check() const {
-    for (rig_camera const& c : of) { c.check(); }
+    for (Camera const& c : of) { c.check(); }
+    if constexpr (!std::is_same_v<Camera, rig_camera>) { Camera::check_pairs(of, N); }
   }
 };
+
+/// Whether a rig has cameras of any models, as a mixed_rig.
+template <typename Rig>
+inline constexpr bool is_mixed_v = false;
+template <int N, typename Camera>
+inline constexpr bool is_mixed_v<multi_rig<N, Camera>> = !std::is_same_v<Camera, rig_camera>;
 
 }  // namespace FT_ABI
 }  // namespace ft

@@ -54,6 +54,16 @@ void give_images(any_images const& from, Rig const& rig, rig_images<N>& to) {
     if (!rig.of[c].single()) { to.of[2 * c + 1] = *next++; }
   }
 }
+template <int N>
+void give_images(any_images const& from, mixed_rig<N> const& rig, mixed_images<N>& to) {
+  rig_images<2 * N> gray;
+  give_images(from, rig, gray);
+  depth_view const* next = from.depths;
+  for (int i = 0; i < 2 * N; ++i) { to.of[i] = gray.of[i]; }
+  for (int c = 0; c < N; ++c) {
+    if (rig.of[c].has_depth_image) { to.depth[c] = *next++; }
+  }
+}
 
 /// @tparam Place has enter(), whose result lives during a call, and outlives the odometry
 template <typename Exec, typename Rig, typename Place>

@@ -58,7 +58,8 @@ inline namespace FT_ABI {
 ///   multi_rig, whose cameras give one pose, that of its body. "Camera pair" means a rig below
 template <typename Exec, typename Rig = rectified_rig>
 class frame_tracker {
-  static_assert(std::is_same_v<typename detail::rig_parts<Rig>::searched_rig, Rig>,
+  static_assert(std::is_same_v<typename detail::rig_parts<Rig>::searched_rig, Rig> &&
+                    !is_mixed_v<Rig>,
                 "only an odometry rectifies, undistorts or takes depth images");
   using stages_type = detail::frame_stages<Exec, Rig>;
 

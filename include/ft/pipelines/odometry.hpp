@@ -18,6 +18,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/stage_clock.hpp"
 #include "ft/pipelines/detail/map_origin.hpp"
+#include "ft/pipelines/detail/mixed_parts.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_engine.hpp"

@@ -78,6 +78,14 @@ struct rig_images {
   gray_view const& operator[](int i) const { return of[i]; }
 };
 
+/// The same of a mixed_rig: image 2 c + 1 only of a rectified pair, and the depth images of the
+/// cameras that have one, as in rgbd_images.
+template <int N>
+struct mixed_images {
+  gray_view of[2 * N];
+  depth_view depth[N];
+};
+
 /// The images of an rgbd_rig. Both have the size that the odometry was made for. The depth image is
 /// registered to the grey one: its pixels are depths along the axis of the same camera, in units of
 /// rgbd_rig::depth_scale. A pixel that is 0, negative, infinite or NaN has no depth. The executor

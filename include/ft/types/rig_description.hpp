@@ -47,6 +47,8 @@ struct camera_description {
   double parameters[most_camera_parameters] = {};
   double baseline = 0;  ///< of the left camera of a rectified pair, metres; 0 = a single camera
   rigid<double> T_camera_body = rigid<double>::identity();  ///< metres
+  int right = -1;  ///< of a multi rig: number of the right camera of its pair; -1 = none
+  bool has_depth_image = false;  ///< of a multi rig; `baseline` is that of its virtual pair
 
   /// @throws bad_argument for more than 16 numbers
   static camera_description make(camera_kind kind, std::initializer_list<double> parameters) {
@@ -69,7 +71,7 @@ enum class rig_kind : int {
   fisheye_pair,    ///< stereo_rig
   rgbd,            ///< rgbd_rig
   monocular,       ///< monocular_rig
-  multi,           ///< multi_rig
+  multi,           ///< multi_rig; mixed_rig if its cameras are not all pinholes or pairs of them
 };
 
 /// The kind as a word, such as "rectified_pair".
@@ -92,9 +94,9 @@ struct rig_description {
   double rectified[4] = {};  ///< distorted_pair: fx, fy, cx, cy of both rectified cameras
   int raw_width = 0;         ///< distorted_pair: of its images, if not as odometry_params::orb
   int raw_height = 0;        ///< likewise
-  double depth_scale = 0;    ///< rgbd: metres per unit; 0 = depth images are float, metres
-  double min_depth = 0;      ///< rgbd, metres; smaller depths are none
-  double max_depth = std::numeric_limits<double>::infinity();  ///< rgbd, metres; larger ones, too
+  double depth_scale = 0;    ///< rgbd, multi: metres per unit; 0 = depth images are float, metres
+  double min_depth = 0;      ///< likewise, metres; smaller depths are none
+  double max_depth = std::numeric_limits<double>::infinity();  ///< likewise; larger ones, too
 
   /// @param baseline metres
   static rig_description rectified_pair(double fx, double fy, double cx, double cy,

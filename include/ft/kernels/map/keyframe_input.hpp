@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "ft/cameras/monocular_rig.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/odometry_map.hpp"
@@ -114,8 +115,8 @@ FT_HOST_DEVICE vec3<float> stereo_point(keyframe_input<Rig> const& in, int b, in
     int const octave = get<field::octave>(keypoints, i);
     strict_float const x = in.geometry.column(get<field::x>(keypoints, i), octave);
     strict_float const y = in.geometry.row(get<field::y>(keypoints, i), octave);
-    auto const ray =
-        in.rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
+    auto ray = in.rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
+    if constexpr (is_mixed_v<Rig>) { ray = {ray.x / ray.z, ray.y / ray.z, 1.0f}; }
     float const z = in.geometry.depth(
         in.depth[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() + c * in.frame.capacity() + i],
         octave);

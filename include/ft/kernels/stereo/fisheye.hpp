@@ -68,7 +68,6 @@ struct match_fisheye_keypoint {
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, fisheye_stereo<Rig> const& stereo,
                                  keypoints_view const& keypoints,
                                  fisheye_matches_view const& out) const {
-    fisheye_stereo_params const& params = stereo.params;
     int const pair = item / out.capacity;
     int const i = item % out.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
@@ -81,18 +80,34 @@ struct match_fisheye_keypoint {
     descriptor const mine = left.orb(i);
     if (i >= count || i < first) { return; }
 
-    two_nearest const best = nearest(g, mine, right, right_first, right_count);
-    if (best.second == best.none) { return; }
-    if (params.ratio_den * best.first >= params.ratio_num * best.second) { return; }
-    int const j = best.index;
-
     vec3<float> point;
-    if (!accept(g, stereo, {left, right, i, j}, point) || g.rank() != 0) { return; }
+    int const j = find(g, stereo, {left, right, i, right_first, right_count}, mine, point);
+    if (j < 0 || g.rank() != 0) { return; }
     int* const partner = out.partner + static_cast<std::ptrdiff_t>(pair) * 2 * out.capacity;
     partner[i] = out.capacity + j;
     atomic_max(partner + out.capacity + j, i);  // of several left keypoints the last one stays
     out.depth[item] = point.z;
     out.point[item] = point;
+  }
+
+  /// Left keypoint i, and the right ones [begin, end) among which its partner may be.
+  struct choice {
+    keypoints_view const& left;
+    keypoints_view const& right;
+    int i;
+    int begin, end;
+  };
+  /// The partner; -1 = none. @param mine descriptor of the left keypoint
+  /// @param[out] point in the left camera's frame, metres, if there is a partner
+  template <typename Group>
+  FT_HOST_DEVICE static int find(Group g, fisheye_stereo<Rig> const& stereo, choice const& of,
+                                 descriptor const& mine, vec3<float>& point) {
+    fisheye_stereo_params const& params = stereo.params;
+    two_nearest const best = nearest(g, mine, of.right, of.begin, of.end);
+    if (best.second == best.none) { return -1; }
+    if (params.ratio_den * best.first >= params.ratio_num * best.second) { return -1; }
+    int const j = best.index;
+    return accept(g, stereo, {of.left, of.right, of.i, j}, point) ? j : -1;
   }
 
 private:

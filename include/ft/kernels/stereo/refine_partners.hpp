@@ -147,11 +147,33 @@ struct refine_partner {
         matches.partner + static_cast<std::ptrdiff_t>(pair) * 2 * matches.capacity;
     if (i >= *left.count || partner[i] < 0 || partner[partner[i]] != i) { return; }
     int const j = partner[i] - matches.capacity;
+    vec3<float> point = matches.point[item];
+    if (!refine(g, pyramid, {left, right, i, j, 2 * pair, 2 * pair + 1}, point)) { return; }
+    matches.point[item] = point;
+    matches.depth[item] = point.z;
+  }
+
+  /// A left keypoint, its partner and their images.
+  struct match {
+    keypoints_view const& left;
+    keypoints_view const& right;
+    int i, j;
+    int left_image, right_image;
+  };
+  /// Moves the right keypoint of a match. True for the group's first thread, if it moves.
+  /// @param[in,out] point that both see, in the left camera's frame, metres
+  template <typename Group>
+  FT_HOST_DEVICE bool refine(Group g, image_pyramid_view const& pyramid, match const& m,
+                             vec3<float>& point) const {
+    keypoints_view const& left = m.left;
+    keypoints_view const& right = m.right;
+    int const i = m.i;
+    int const j = m.j;
     level const of(pyramid.geometry, left.octave(i));
     float const inv = pyramid.geometry.inv_scale[of.octave];
     vec2<strict_float> const mine{strict_float(left.x(i)) * inv, strict_float(left.y(i)) * inv};
-    partner_windows const windows{pyramid.level(2 * pair, of.octave),
-                                  pyramid.level(2 * pair + 1, of.octave), round_away(mine.x.value),
+    partner_windows const windows{pyramid.level(m.left_image, of.octave),
+                                  pyramid.level(m.right_image, of.octave), round_away(mine.x.value),
                                   round_away(mine.y.value)};
     vec2<strict_float> const off{mine.x - static_cast<float>(windows.u),
                                  mine.y - static_cast<float>(windows.v)};
@@ -160,18 +182,15 @@ struct refine_partner {
     at = {at.x - off.x, at.y - off.y};
     bool const found = windows.find(g, at);
     g.sync();  // all threads have read the right keypoint
-    if (!found || g.rank() != 0) { return; }
+    if (!found || g.rank() != 0) { return false; }
     vec2<strict_float> const seen = of.to_input_of_pixel({at.x + off.x, at.y + off.y});
-    vec3<float> point;
-    if (!triangulated(of.to_input(left.x(i), left.y(i)), seen, matches.point[item], point)) {
-      return;
-    }
+    vec3<float> const before = point;
+    if (!triangulated(of.to_input(left.x(i), left.y(i)), seen, before, point)) { return false; }
     vec2<strict_float> const moved = of_right.from_input(seen);
     strict_float const scale = pyramid.geometry.scale[of_right.octave];
     right.x(j) = (moved.x * scale).value;
     right.y(j) = (moved.y * scale).value;
-    matches.point[item] = point;
-    matches.depth[item] = point.z;
+    return true;
   }
 
 private:

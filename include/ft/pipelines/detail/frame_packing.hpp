@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstring>
 
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/containers/frame.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
@@ -100,7 +101,8 @@ struct pack_keypoints {
     float const z = there ? depth[at] : -1.0f;
     out.depth[at] = z;
     if constexpr (Rig::rectified) {
-      auto const r = rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
+      auto r = rig.pair(c).camera.template cast<strict_float>().unproject({x, y}).direction;
+      if constexpr (is_mixed_v<Rig>) { r = {r.x / r.z, r.y / r.z, 1.0f}; }
       auto const p = rig.to_body(c, vec3<strict_float>{r.x * z, r.y * z, z});
       out.point[at] = z > 0 ? vec3<float>{p.x.value, p.y.value, p.z.value} : vec3<float>{0, 0, 0};
     } else {

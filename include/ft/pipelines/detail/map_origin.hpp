@@ -154,16 +154,20 @@ private:
     add("rig", std::string("one camera"));
     add_camera("", rig.camera);
   }
-  template <int N>
-  void add_rig(multi_rig<N> const& rig) {
+  template <int N, typename Camera>
+  void add_rig(multi_rig<N, Camera> const& rig) {
     add("rig", std::to_string(N) + " cameras");
     for (int c = 0; c < N; ++c) {
       std::string const of = "camera " + std::to_string(c) + "'s ";
-      rig_camera const& camera = rig.pair(c);
+      Camera const& camera = rig.pair(c);
       add(of + "use", std::string(camera.used ? "used" : "none"));
       add_camera(of, camera.camera);
       add_baseline(of, camera.baseline);
       add_pose(of + "T_cb", camera.T_cb);
+      if constexpr (is_mixed_v<multi_rig<N, Camera>>) {
+        add(of + "right camera", std::to_string(camera.right));
+        add(of + "depth image", std::string(camera.has_depth_image ? "yes" : "none"));
+      }
     }
   }
 

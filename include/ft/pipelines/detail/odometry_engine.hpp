@@ -64,8 +64,8 @@ template <typename Camera>
 constexpr depth_origin depths_of(rgbd_rig<Camera> const&) {
   return depth_origin::depth_image;
 }
-template <int N>
-constexpr depth_origin depths_of(multi_rig<N> const&) {
+template <int N, typename Camera>
+constexpr depth_origin depths_of(multi_rig<N, Camera> const&) {
   return depth_origin::some_pairs;
 }
 template <typename Camera>

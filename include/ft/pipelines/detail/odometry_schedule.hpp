@@ -61,6 +61,7 @@ void queue_odometry_motion(Line& line, Stages& s) {
     s.assign_last_frame(line.then("search last frame"));
     line.join(s.result_branch());
     s.optimize_last(line.then("pose last frame"));
+    if constexpr (Stages::has_partners) { s.refine_partners(line.then("stereo")); }
   } else {
     s.list_last_frame(line.then("search last frame"));
     line.beside(
@@ -91,7 +92,7 @@ void queue_prefetched_motion(Line& line, Stages& s) {
   s.watch_images(line.fork(s.result_branch()));
   queue_prediction(line.then("motion"), s);
   queue_last_frame(line, s);
-  if constexpr (!Stages::rectified) { s.refine_partners(line.then("stereo")); }
+  if constexpr (Stages::has_partners) { s.refine_partners(line.then("stereo")); }
 }
 
 /// The same of a frame whose features the caller gives. There are no images.

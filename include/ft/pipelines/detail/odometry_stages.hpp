@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
@@ -92,9 +93,14 @@ public:
 
   /// Of two cameras that are not rectified, after match_stereo().
   void refine_partners(Exec const& exec) const {
-    ft::refine_partners(exec, this->rig, this->extractor.pyramid(), this->extractor.keypoints(),
-                        this->matcher.fisheye_matches());
+    if constexpr (is_mixed_v<Rig>) {
+      this->matcher.refine_partners(exec, this->extractor);
+    } else {
+      ft::refine_partners(exec, this->rig, this->extractor.pyramid(), this->extractor.keypoints(),
+                          this->matcher.fisheye_matches());
+    }
   }
+  static constexpr bool has_partners = !base::rectified || is_mixed_v<Rig>;
 
   // ---- parts, at points of the schedule
 
@@ -210,6 +216,7 @@ public:
     in.time_ns = own.state.time_ns;
     in.depth = this->matcher.depth();
     in.point = this->matcher.fisheye_matches().point;
+    if constexpr (is_mixed_v<Rig>) { in.frame.partner = this->matcher.partners(); }
     in.geometry = this->geometry();
     return in;
   }

@@ -3,8 +3,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdint>
-#include <cstring>
 #include <type_traits>
 
 #include "ft/cameras/rgbd_rig.hpp"
@@ -12,13 +10,14 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/stereo_matches.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/images/depth_association.hpp"
 #include "ft/kernels/images/undistort.hpp"
 #include "ft/kernels/keypoints/order.hpp"
+#include "ft/pipelines/detail/depth_input.hpp"
+#include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/detail/frame_memory.hpp"
 #include "ft/pipelines/detail/rig_parts.hpp"
 #include "ft/types/images.hpp"
@@ -27,94 +26,38 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// The places of the depth images of a batch.
-struct depth_places {
-  depth_source* of = nullptr;  ///< [batch]
-};
-inline void carve(carver& c, depth_places& v, int batch) {
-  v.of = c.take<depth_source>(static_cast<std::size_t>(batch));
-}
-
-/// The images of the next frame of a batch of RGB-D cameras. Of a depth image only the pixels of
-/// keypoints are read, so it is not uploaded: it stays where it is, or is copied to staging memory
-/// if the executor cannot read it there.
+/// The images of the next frame of a batch of RGB-D cameras.
 template <typename Exec, typename Camera>
 class rig_input<Exec, rgbd_rig<Camera>> {
 public:
   using images_type = rgbd_images;
   static constexpr bool overlaps_pyramid = true;
-  static constexpr memory_space staging = staging_space<Exec>;
 
   rig_input() = default;
   rig_input(Exec const&, rgbd_rig<Camera> const& rig, pyramid_geometry const& geometry, int batch)
       : scaled_(rig.depth_scale != 0),
         images_(geometry, {0, 1}, batch),
-        places_(batch),
-        width_(geometry.width[0]),
-        height_(geometry.height[0]) {
-    if (Exec::asynchronous) {
-      staged_ = buffer<float, staging>(
-          checked_mul(static_cast<std::size_t>(batch), static_cast<std::size_t>(pixels())));
-    }
-  }
+        depths_(geometry.width[0], geometry.height[0], batch, batch) {}
 
   frame_images<Exec> const& images() const { return images_; }
-  depth_sources_view depths() const {
-    return {places_.device.of, width_, height_, images_.batch()};
-  }
+  depth_sources_view depths() const { return depths_.view(); }
   /// @throws bad_argument for an image that is null or of another size
   void take(int b, rgbd_images const& given) {
-    require_depth(given.depth);
+    depths_.require_depth(given.depth, scaled_);
     images_.take(b, 0, given.gray);
-    places_.host.of[b] = place_of(b, given.depth);
+    depths_.take(b, b, given.depth);
   }
   /// Enqueues the copy of the images, and of the places of the depth images.
   void upload(Exec const& exec, extraction<Exec> const& to) const {
-    to.upload(exec, images_.sources(), places_.source(), {});
+    to.upload(exec, images_.sources(), depths_.source(), {});
   }
 
-  allocated_bytes allocated() const {
-    return images_.allocated() + places_.allocated() + allocated_bytes{0, staged_.bytes()};
-  }
+  allocated_bytes allocated() const { return images_.allocated() + depths_.allocated(); }
 
 private:
-  std::ptrdiff_t pixels() const { return static_cast<std::ptrdiff_t>(width_) * height_; }
-  void require_depth(depth_view const& depth) const {
-    require(depth.data != nullptr, "the depth image is null");
-    require(depth.is_float || scaled_,
-            "a depth image of 16 bits needs rgbd_rig::depth_scale, metres per unit: 0.001 for "
-            "millimetres");
-    require_size("depth image", {depth.width, depth.height}, {width_, height_});
-    auto const row = static_cast<std::ptrdiff_t>(width_) * pixel_bytes(depth);
-    if (depth.pitch < row) {
-      throw bad_argument("ft: the depth image has " + std::to_string(depth.pitch) +
-                         " bytes from row to row, must be at least " + std::to_string(row));
-    }
-  }
-  static std::ptrdiff_t pixel_bytes(depth_view const& depth) {
-    return depth.is_float ? std::ptrdiff_t{sizeof(float)} : std::ptrdiff_t{sizeof(std::uint16_t)};
-  }
-  depth_source place_of(int b, depth_view const& depth) const {
-    auto const* const first = static_cast<char const*>(depth.data);
-    std::ptrdiff_t const row = width_ * pixel_bytes(depth);
-    char const* const last = first + (height_ - 1) * depth.pitch + (row - 1);
-    void const* const there = Exec::host_address(first);
-    if (there != nullptr && Exec::host_address(last) != nullptr) {
-      return {there, depth.pitch, depth.is_float ? 1 : 0};
-    }
-    auto* const to = reinterpret_cast<char*>(staged_.data() + b * pixels());
-    for (int y = 0; y < height_; ++y) {
-      std::memcpy(to + y * row, first + y * depth.pitch, static_cast<std::size_t>(row));
-    }
-    return {to, row, depth.is_float ? 1 : 0};
-  }
-
   bool scaled_ = false;  ///< the unit of depth images is known
   frame_images<Exec> images_;
-  twin<depth_places, Exec::space, staging> places_;
-  int width_ = 0;
-  int height_ = 0;
-  buffer<float, staging> staged_;  ///< [batch][image], large enough for both formats
+  depth_input<Exec> depths_;
 };
 
 /// Depths and virtual right columns of the keypoints of RGB-D cameras: a stereo_matcher of theirs.

@@ -151,18 +151,29 @@ private:
     g.sync();
     return listed;
   }
-  /// The right keypoint of a stereo match holds what the left one holds.
+  /// The right keypoint of a stereo match that is not rectified holds what the left one holds.
   template <typename Group>
   FT_HOST_DEVICE static void share_with_partners(Group g, task const& t) {
     if (t.partners() == nullptr || t.in.frame.cameras < 2) { return; }
-    for (int i = g.rank(); i < t.keypoints(1); i += g.size()) {
-      int const n = t.in.frame.capacity() + i;
-      int const partner = t.partners()[n];
-      int const holder = partner >= 0 ? t.holders()[partner] : -1;
-      if (holder >= 0) { t.holders()[n] = holder; }
-      if (holder == chosen) { t.holders()[n] = -1; }
+    for (int c = 0; c < t.in.frame.cameras; ++c) {
+      if (!is_right(t, c)) { continue; }
+      for (int i = g.rank(); i < t.keypoints(c); i += g.size()) {
+        int const n = c * t.in.frame.capacity() + i;
+        int const partner = t.partners()[n];
+        int const holder = partner >= 0 ? t.holders()[partner] : -1;
+        if (holder >= 0) { t.holders()[n] = holder; }
+        if (holder == chosen) { t.holders()[n] = -1; }
+      }
     }
     g.sync();
+  }
+  /// Whether camera c is the right one of a pair that is not rectified.
+  FT_HOST_DEVICE static bool is_right(task const& t, int c) {
+    if constexpr (is_mixed_v<typename task::rig_type>) {
+      return t.in.rig.pair(c).left >= 0;
+    } else {
+      return c == 1;
+    }
   }
 
   /// Each point goes to the first keypoint of a camera that holds it.
@@ -308,8 +319,9 @@ private:
       if (t.partners() == nullptr || t.in.frame.cameras < 2) { continue; }
       int const partner = t.partners()[n];
       bool const mutual = partner >= 0 && t.partners()[partner] == n;
-      t.claim(1, slot) = mutual ? partner : unclaimed;
-      if (mutual) { t.holders()[partner] = slot; }
+      if (!mutual) { continue; }
+      t.claim(partner / t.in.frame.capacity(), slot) = partner;
+      t.holders()[partner] = slot;
     }
     g.sync();
   }

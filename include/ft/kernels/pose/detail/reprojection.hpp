@@ -6,6 +6,7 @@
 
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/monocular_rig.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -46,6 +47,18 @@ struct reprojection {
       valid = p.valid;
       error[0] = real(o.u) - p.pixel.x;
       error[1] = real(o.v) - p.pixel.y;
+    } else if constexpr (is_mixed_v<Rig>) {
+      auto const& c = rig.pair(o.camera);
+      in_camera = rig.to_camera(o.camera, in_body);
+      projection<Real> const p = project(c.camera.template cast<Real>());
+      valid = p.valid;
+      error[0] = real(o.u) - p.pixel.x;
+      error[1] = real(o.v) - p.pixel.y;
+      if (o.right_u >= 0) {
+        rows = 3;
+        iz = scalar::reciprocal(in_camera.z);
+        error[2] = real(o.right_u) - (p.pixel.x - real(c.bf()) * iz);
+      }
     } else if constexpr (Rig::rectified) {
       in_camera = rig.to_camera(o.camera, in_body);
       auto const& c = rig.pair(o.camera).camera;
@@ -99,6 +112,12 @@ struct reprojection {
       static_assert(Differentiate, "derivative() needs the template argument Differentiate");
       auto const& j = camera_derivative.m;
       return {{j[0], j[1], j[2], j[3], j[4], j[5], zero, zero, zero}};
+    } else if constexpr (is_mixed_v<Rig>) {
+      static_assert(Differentiate, "derivative() needs the template argument Differentiate");
+      auto const& j = camera_derivative.m;
+      Real const bf = rows == 3 ? real(rig.pair(o.camera).bf()) : zero;
+      mat3<Real> const P{{j[0], j[1], j[2], j[3], j[4], j[5], j[0], j[1], j[2] + bf * (iz * iz)}};
+      return rig.derivative_in_body(o.camera, P);
     } else if constexpr (Rig::rectified) {
       auto const& c = rig.pair(o.camera).camera;
       Real const du = real(c.fx) * iz;

@@ -6,6 +6,7 @@
 
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/monocular_rig.hpp"
+#include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -71,6 +72,11 @@ struct window_residual {
     if constexpr (is_monocular_v<Rig>) {
       static_cast<void>(camera);
       set(r, rig.camera.template cast<real>().project_with_jacobian(x));
+    } else if constexpr (is_mixed_v<Rig>) {
+      auto const model = rig.pair(camera).camera.template cast<real>();
+      set(r, model.project_with_jacobian(rig.to_camera(camera, x)));
+      r.J[0] = by_body(camera, r.J[0]);
+      r.J[1] = by_body(camera, r.J[1]);
     } else if constexpr (Rig::rectified) {
       real const zero = real(0.0);
       vec3<real> const p = rig.to_camera(camera, x);

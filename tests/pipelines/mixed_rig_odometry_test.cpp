@@ -1,0 +1,217 @@
+// SPDX-License-Identifier: Apache-2.0
+// Odometry with rigs of cameras of several models, in a rendered room.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "ft/cameras/any_camera.hpp"
+#include "ft/cameras/mixed_rig.hpp"
+#include "ft/core/error.hpp"
+#include "ft/pipelines/odometry.hpp"
+#include "tests/support/backends.hpp"
+#include "tests/support/mixed_rig_walk.hpp"
+#include "tests/support/odometry_answers.hpp"
+#include "tests/support/room.hpp"
+
+namespace mixed_rig_odometry_test {
+
+using namespace test::rigs;
+using camera = ft::mixed_rig_camera;
+
+template <typename Backend>
+class mixed_rig_odometry : public test::on_backend<Backend> {};
+TYPED_TEST_SUITE(mixed_rig_odometry, test::backends);
+
+/// One size of rig, so that an odometry is compiled once: cameras that are not named are not used.
+constexpr int cameras = 6;
+using rig_type = ft::mixed_rig<cameras>;
+
+rig_type rig_of(std::vector<camera> const& some) {
+  rig_type rig;
+  std::fill_n(rig.of, cameras, camera::none());
+  std::copy(some.begin(), some.end(), rig.of);
+  return rig;
+}
+/// The fisheye cameras of the room's pair, at T_lb.
+std::vector<camera> fisheyes(ft::pose const& T_lb) {
+  auto const pair = test::room::fisheye();
+  return {camera::single(any::of(pair.left), T_lb),
+          camera::single(any::of(pair.right), pair.T_rl * T_lb)};
+}
+camera pinhole(ft::pose const& T_cb) {
+  return camera::single(any::of(test::room::rig().camera), T_cb);
+}
+camera depth_camera(ft::pose const& T_cb) {
+  return camera::with_depth(
+      any::of(ft::radtan5<float>{280, 281, 238, 181, {-0.1f, 0.02f, 0.0005f, -0.0003f, 0.0f}}), 0.1,
+      0, T_cb);
+}
+ft::pose ahead() { return turned(0.1f, {0.1f, 0.02f, 0.2f}); }
+ft::pose aside() { return turned(1.4f, {0.3f, 0, -0.1f}); }
+
+/// Two fisheye pairs, one pinhole and one camera with a depth image.
+rig_type whole() {
+  auto all = fisheyes(ahead());
+  auto const second = fisheyes(aside());
+  all.insert(all.end(), second.begin(), second.end());
+  all.push_back(pinhole(turned(-0.4f, {-0.1f, 0, 0})));
+  all.push_back(depth_camera(turned(-1.2f, {-0.2f, 0.05f, 0})));
+  rig_type rig = rig_of(all);
+  ft::pair_up(rig, 0, 1);
+  ft::pair_up(rig, 2, 3);
+  return rig;
+}
+
+struct run {
+  std::vector<ft::tracking> frames;
+  double rms = 0;  ///< metres
+};
+
+double error_of(ft::tracking const& t, ft::pose const& now, ft::pose const& first) {
+  auto const d = t.T_world_camera.t - (first.cast<double>() * now.cast<double>().inverse()).t;
+  return std::sqrt(ft::dot(d, d));
+}
+
+template <typename Exec>
+run follow(Exec const& exec, rig_type const& rig, std::vector<mixed_frame> const& walk) {
+  ft::odometry<Exec, rig_type> odo(exec, rig, test::room::odometry_params(8192));
+  run r;
+  std::int64_t time = 0;
+  for (mixed_frame const& f : walk) {
+    r.frames.push_back(odo.track(views_of<cameras>(f), time += 50'000'000));
+    double const e = error_of(r.frames.back(), f.T_cw, walk[0].T_cw);
+    r.rms += e * e / static_cast<double>(walk.size());
+  }
+  r.rms = std::sqrt(r.rms);
+  return r;
+}
+void expect_tracked(run const& r) {
+  for (std::size_t f = 0; f < r.frames.size(); ++f) {
+    EXPECT_EQ(r.frames[f].state, ft::tracking_state::tracking) << f;
+  }
+}
+
+TYPED_TEST(mixed_rig_odometry, two_fisheye_pairs_a_pinhole_and_a_depth_camera_give_one_pose) {
+  TypeParam backend;
+  auto const rig = whole();
+  auto const walk = make_mixed_walk(rig, 0, 16);
+  auto const all = follow(backend.exec, rig, walk);
+  expect_tracked(all);
+  EXPECT_GE(all.frames.back().keyframes, 2);
+  // Each part that has depths of its own, alone: the other cameras are not used.
+  double best = 1;
+  std::string alone;
+  int const parts[3][2] = {{0, 1}, {2, 3}, {5, 5}};
+  for (auto const& [first, last] : parts) {
+    rig_type part = rig;
+    for (int c = 0; c < cameras; ++c) {
+      if (c < first || c > last) { part.of[c] = camera::none(); }
+    }
+    auto const r = follow(backend.exec, part, walk);
+    expect_tracked(r);
+    EXPECT_LT(r.rms, 0.02) << first;
+    best = std::min(best, r.rms);
+    alone += std::to_string(1000 * r.rms) + " ";
+  }
+  EXPECT_LT(all.rms, 0.01);
+  EXPECT_LE(all.rms, best);
+  this->RecordProperty("rms_mm", std::to_string(1000 * all.rms));
+  this->RecordProperty("rms_mm_alone", alone);
+}
+
+TYPED_TEST(mixed_rig_odometry, a_fisheye_pair_is_as_exact_as_a_stereo_rig) {
+  TypeParam backend;
+  auto rig = rig_of(fisheyes(ft::pose::identity()));
+  ft::pair_up(rig, 0, 1);
+  auto const walk = make_mixed_walk(rig, 1, 12);
+  auto const mixed = follow(backend.exec, rig, walk);
+  expect_tracked(mixed);
+  ft::odometry<typename TypeParam::exec_type, test::room::fisheye_rig> odo(
+      backend.exec, test::room::fisheye(), test::room::odometry_params(8192));
+  double sum = 0;
+  std::int64_t time = 0;
+  for (mixed_frame const& f : walk) {
+    auto const t = odo.track({test::room::view(f.images[0]), test::room::view(f.images[2])},
+                             time += 50'000'000);
+    double const e = error_of(t, f.T_cw, walk[0].T_cw);
+    sum += e * e;
+  }
+  double const pair = std::sqrt(sum / static_cast<double>(walk.size()));
+  EXPECT_LT(mixed.rms, std::max(1.25 * pair, 0.002));
+  this->RecordProperty("rms_mm", std::to_string(1000 * mixed.rms));
+  this->RecordProperty("rms_mm_of_a_stereo_rig", std::to_string(1000 * pair));
+}
+
+// Kannala-Brandt cameras call an arc tangent in double, which may differ in its last place.
+TYPED_TEST(mixed_rig_odometry, without_arc_tangents_gives_the_bits_of_the_host) {
+  TypeParam backend;
+  auto const pair = test::room::rig();
+  auto rig = rig_of({camera::rectified(pair.camera, pair.baseline, ahead()), depth_camera(aside()),
+                     pinhole(turned(-0.4f, {-0.1f, 0, 0})), pinhole(turned(-0.4f, {0.1f, 0, 0}))});
+  ft::pair_up(rig, 2, 3);
+  auto const walk = make_mixed_walk(rig, 2, 8);
+  auto const here = follow(backend.exec, rig, walk);
+  expect_tracked(here);
+  EXPECT_LT(here.rms, 0.02);
+  auto params = test::room::odometry_params(8192);
+  params.prefetch = 2;
+  ft::odometry<typename TypeParam::exec_type, rig_type> prefetching(backend.exec, rig, params);
+  test::expect_same(
+      test::track_prefetched(prefetching, walk.size(), 50'000'000,
+                             [&](std::size_t i) { return views_of<cameras>(walk[i]); }),
+      here.frames);
+  auto const host = follow(ft::host_exec(1), rig, walk);
+  for (std::size_t f = 0; f < walk.size(); ++f) {
+    EXPECT_TRUE(test::same(here.frames[f], host.frames[f])) << f;
+  }
+}
+
+TYPED_TEST(mixed_rig_odometry, refuses_a_missing_depth_image_and_rigs_without_depths) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type, rig_type>;
+  auto const rig = rig_of({depth_camera(ft::pose::identity())});
+  auto const walk = make_mixed_walk(rig, 0, 1);
+  odometry odo(backend.exec, rig, test::room::odometry_params(2048));
+  auto images = views_of<cameras>(walk[0]);
+  images.depth[0] = {};
+  EXPECT_THROW(odo.track(images, 1), ft::bad_argument);
+  std::vector<std::uint16_t> const integers(walk[0].depths[0].size(), 1000);
+  images.depth[0] = ft::image_view<std::uint16_t const>{integers.data(), test::room::width,
+                                                        test::room::height, test::room::width};
+  EXPECT_THROW(odo.track(images, 1), ft::bad_argument) << "the unit is not known";
+  EXPECT_THROW(odometry(backend.exec, rig_of(fisheyes(ahead())), test::room::odometry_params(2048)),
+               ft::bad_argument);
+}
+
+TEST(mixed_rig, refuses_what_is_no_rig) {
+  auto const refused = [](auto const& change) {
+    rig_type rig = whole();
+    rig.check();
+    change(rig);
+    EXPECT_THROW(rig.check(), ft::bad_argument);
+  };
+  refused([](rig_type& r) { r.of[1].left = -1; });
+  refused([](rig_type& r) { r.of[0].right = 3; });
+  refused([](rig_type& r) { r.of[0].right = cameras; });
+  refused([](rig_type& r) { r.of[1].has_depth_image = true; });
+  refused([](rig_type& r) { r.of[0].has_right_image = true; });
+  refused([](rig_type& r) { r.of[0].baseline = 0; });
+  refused([](rig_type& r) { r.of[4].baseline = 0.1; });
+  refused([](rig_type& r) { r.of[5].depth_scale = -1; });
+  refused([](rig_type& r) { r.of[5].max_depth = -1; });
+  refused([](rig_type& r) { r.of[2].T_cb.R.m[0] = 2; });
+  refused([](rig_type& r) { r.of[2].camera.kind = 1; });
+  refused([](rig_type& r) { r.of[1] = camera::none(); });
+  rig_type rig = whole();
+  EXPECT_THROW(ft::pair_up(rig, 0, 0), ft::bad_argument);
+  EXPECT_THROW(ft::pair_up(rig, 0, cameras), ft::bad_argument);
+  rig.of[4].T_cb = rig.of[5].T_cb;
+  EXPECT_THROW(ft::pair_up(rig, 4, 5), ft::bad_argument);
+}
+
+}  // namespace mixed_rig_odometry_test

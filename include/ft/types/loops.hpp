@@ -61,7 +61,7 @@ struct loop_params {
 /// odometry_params::loops.
 struct loops {};
 
-/// A keyframe that loops have corrected.
+/// A keyframe that loops have corrected, or a frame that was looked for in a loaded map.
 struct placed_keyframe {
   std::int64_t time_ns;
   int map;  ///< number of the map that it is in; of maps that loops have joined, of the first one

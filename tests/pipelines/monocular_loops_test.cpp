@@ -153,6 +153,17 @@ TYPED_TEST(MonocularLoops, BothExecutorsHaveTheSameBits) {
   EXPECT_LT(length(c.told[0].T_world_camera.t - b.told.back().T_world_camera.t), 1e-3);
 }
 
+/// Sideways along a wall that looks the same after 4 m.
+std::vector<image> const& passage() {
+  static std::vector<image> const all = [] {
+    auto const walls = test::room::make_walls(1);
+    std::vector<image> made;
+    for (int i = 0; i < 75; ++i) { made.push_back(see(walls, 1, 0.1 * i, 0)); }
+    return made;
+  }();
+  return all;
+}
+
 // The images after a period are those before it: nothing but how far the camera may have drifted
 // tells them apart.
 TYPED_TEST(MonocularLoops, ARepeatedStructureIsNoLoop) {

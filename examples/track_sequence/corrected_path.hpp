@@ -17,24 +17,30 @@ namespace app {
 class corrected_path {
 public:
   void add(std::int64_t time_ns, ft::rigid<double> const& T_odom_camera) {
-    tracked_.push_back({time_ns, 0, T_odom_camera, T_odom_camera});
+    tracked_.push_back({time_ns, 0, T_odom_camera, T_odom_camera, 1});
   }
   seq::trajectory as_tracked() const { return by({}); }
   /// Each pose moves with the last keyframe that is not after it.
   seq::trajectory by(std::vector<ft::placed_keyframe> const& keyframes) const {
     seq::trajectory path;
     std::size_t next = 0;
-    ft::rigid<double> T_world_odom = ft::rigid<double>::identity();
+    auto T_world_odom = ft::similarity<double>::identity();
     for (ft::placed_keyframe const& p : tracked_) {
       for (; next < keyframes.size() && keyframes[next].time_ns <= p.time_ns; ++next) {
-        T_world_odom = keyframes[next].T_world_camera * keyframes[next].T_odom_camera.inverse();
+        ft::placed_keyframe const& k = keyframes[next];
+        T_world_odom =
+            with_scale(k.T_world_camera, k.scale) * with_scale(k.T_odom_camera.inverse(), 1);
       }
-      path.push_back(stamped(p.time_ns, T_world_odom * p.T_odom_camera));
+      ft::similarity<double> const T = T_world_odom * with_scale(p.T_odom_camera, 1);
+      path.push_back(stamped(p.time_ns, {T.R, T.t}));
     }
     return path;
   }
 
 private:
+  static ft::similarity<double> with_scale(ft::rigid<double> const& T, double scale) {
+    return {T.R, T.t, scale};
+  }
   std::vector<ft::placed_keyframe> tracked_;
 };
 

@@ -115,11 +115,11 @@ std::vector<seen_keypoint> timed_odometry::keypoints() const {
   return all;
 }
 
-void timed_odometry::write_map(std::ostream& to, ft::pose const& T_file_world) const {
+void timed_odometry::write_map(std::ostream& to, ft::pose const& T_file_odom, float scale) const {
   ft::odometry_map map = odometry_.download_map();
   for (auto& point : map.points) {
-    point.position = T_file_world * point.position;
-    point.normal = T_file_world.R * point.normal;
+    point.position = T_file_odom * ft::scaled(point.position, scale);
+    point.normal = T_file_odom.R * point.normal;
   }
   ft::write_ply(to, map);
 }

@@ -47,8 +47,9 @@ public:
 
   std::vector<std::string> const& stage_names() const { return sums_.names(); }  ///< last: "total"
   std::vector<seen_keypoint> keypoints() const;  ///< of the last frame
-  /// Writes the points of the map as PLY. @param T_file_world maps them to the file's world
-  void write_map(std::ostream& to, ft::pose const& T_file_world) const;
+  /// Writes the points of the map as PLY. @param T_file_odom maps them to the file's world
+  /// @param scale that they are multiplied by first
+  void write_map(std::ostream& to, ft::pose const& T_file_odom, float scale) const;
   ft::any_odometry& odometry() { return odometry_; }
 
 private:

@@ -46,6 +46,7 @@ class PlacedKeyframes(TypedDict):
     map: NDArray[np.int32]
     T_odom_camera: NDArray[np.float64]
     T_world_camera: NDArray[np.float64]
+    scale: NDArray[np.float64]
 
 
 class Odometry:
@@ -58,8 +59,8 @@ class Odometry:
     keyframes, local_points, window_points: limits of the map, of the local map and of adjustments. window: keyframes of
     an adjustment, moving and fixed. vocabulary: a file; by its words a lost camera is also looked up among so many
     candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. loops: places that were
-    seen before are recognised and the path is corrected, see placed_keyframes(); not with a MonocularCamera or
-    batch > 1. own_features: track_features() takes keypoints of yours. descriptors: of these, "orb" (32 bytes),
+    seen before are recognised and the path is corrected, see placed_keyframes(); not with batch > 1.
+    own_features: track_features() takes keypoints of yours. descriptors: of these, "orb" (32 bytes),
     "bits_512" (61 to 64 bytes, as AKAZE's and BRISK's) or "int8_128" (OpenCV's SIFT, or int8, of two rows of one point up to
     250 apart); others than "orb" need own_features and a RectifiedPair or an RgbdCamera of a pinhole, without imu and
     vocabulary, and track no images. measure_stages: record stage_times(). features,
@@ -198,7 +199,8 @@ class Odometry:
     def placed_keyframes(self, b: int = 0) -> PlacedKeyframes:
         """The keyframes as loops have corrected them, oldest first: time_ns (n), map (n) their map's number, which is that
         of the first of maps that loops have joined, T_odom_camera (n, 4, 4) as they were tracked, T_world_camera
-        (n, 4, 4) as they are known now. Empty without loops."""
+        (n, 4, 4) as they are known now, scale (n) of the odometry's unit in the world's, 1 but with a MonocularCamera
+        without an IMU. Empty without loops."""
         return cast(PlacedKeyframes, self._pipeline.placed_keyframes(b))
 
     def stage_times(self) -> dict[str, float]:

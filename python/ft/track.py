@@ -227,9 +227,16 @@ class Run:
     def _corrected(self) -> list[tuple[int, NDArray[np.float64]]]:
         """Each pose moves with the last keyframe that is not after it."""
         placed = self._odometry.placed_keyframes()
-        moves = placed["T_world_camera"] @ np.linalg.inv(placed["T_odom_camera"])
         last = np.searchsorted(placed["time_ns"], [t for t, _ in self.poses], "right") - 1
-        return [(t, moves[k] @ T if k >= 0 else T) for (t, _), T, k in zip(self.poses, self._odom_poses, last)]
+        inverse = np.linalg.inv(placed["T_odom_camera"])
+
+        def moved(T: NDArray[np.float64], k: int) -> NDArray[np.float64]:
+            step = inverse[k] @ T
+            step[:3, 3] *= placed["scale"][k]
+            moved_pose: NDArray[np.float64] = placed["T_world_camera"][k] @ step
+            return moved_pose
+
+        return [(t, moved(T, k) if k >= 0 else T) for (t, _), T, k in zip(self.poses, self._odom_poses, last)]
 
     def write(self, settings: Settings) -> None:
         """The files that track_sequence writes. Prints its summary."""
@@ -237,6 +244,7 @@ class Run:
         stages = self._stage_names if a.timing else []
         made = self._odometry.map()
         T = last.T_world_odom if last else np.eye(4)  # the map's points are in the frame of the odometry
+        scale = last.odom_scale if last else 1.0
         rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind,
                                                         "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified")
         trajectory = ft.Trajectory.of(self._corrected() if a.loops else self.poses)
@@ -260,7 +268,7 @@ class Run:
             "with_imu": sequence.imu is not None, "calibration": self._calibration,
             "loops": loops, "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
-            "map_position": (made["position"] @ T[:3, :3].T + T[:3, 3]).tolist(),
+            "map_position": (scale * made["position"] @ T[:3, :3].T + T[:3, 3]).tolist(),
             "map_normal": (made["normal"] @ T[:3, :3].T).tolist(),
         })
 

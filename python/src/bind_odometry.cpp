@@ -271,13 +271,14 @@ public:
   nb::dict placed_keyframes(int b) const {
     std::vector<std::int64_t> time_ns;
     std::vector<int> map;
-    std::vector<double> tracked, placed;
+    std::vector<double> tracked, placed, scale;
     for (auto const& k : translated([&] { return inner_->placed_keyframes(b); })) {
       time_ns.push_back(k.time_ns);
       map.push_back(k.map);
       pose const T_odom = from_ft(k.T_odom_camera), T_world = from_ft(k.T_world_camera);
       tracked.insert(tracked.end(), T_odom.begin(), T_odom.end());
       placed.insert(placed.end(), T_world.begin(), T_world.end());
+      scale.push_back(k.scale);
     }
     std::size_t const n = time_ns.size();
     nb::dict d;
@@ -285,6 +286,7 @@ public:
     d["map"] = to_numpy(std::move(map));
     d["T_odom_camera"] = to_numpy(std::move(tracked), {n, 4, 4});
     d["T_world_camera"] = to_numpy(std::move(placed), {n, 4, 4});
+    d["scale"] = to_numpy(std::move(scale));
     return d;
   }
   nb::dict stage_times() const {
@@ -444,6 +446,12 @@ void bind_tracking(nb::module_& m) {
       .def_prop_ro(
           "T_world_odom", [](tracking const& t) { return to_numpy(from_ft(t.of.T_world_odom)); },
           "(4, 4) float64: what loops have corrected so far")
+      .def_prop_ro(
+          "odom_scale", [](tracking const& t) { return t.of.odom_scale; },
+          "with loops and one camera without an IMU, whose unit of length drifts: how many units "
+          "of "
+          "the world one of the odometry's is, which T_odom_camera's position is multiplied by "
+          "first; else 1")
       .def_prop_ro(
           "loops_closed", [](tracking const& t) { return t.of.loops_closed; },
           "loops whose correction enters with this frame")

@@ -35,9 +35,9 @@ def test_loops_are_plugged_in(walk, device):
     n = sum(p.keyframe for p in poses)
     assert n > 0 and placed["time_ns"].tolist() == [50_000_000 * i for i, p in enumerate(poses) if p.keyframe]
     assert placed["T_odom_camera"].shape == placed["T_world_camera"].shape == (n, 4, 4)
-    assert placed["map"].tolist() == [1] * n
+    assert placed["map"].tolist() == [1] * n and placed["scale"].tolist() == [1.0] * n
     for p, q in zip(poses, plain):  # a straight line has no loop
-        assert p.loops_closed == 0 and np.array_equal(p.T_world_odom, np.eye(4))
+        assert p.loops_closed == 0 and np.array_equal(p.T_world_odom, np.eye(4)) and p.odom_scale == 1
         assert np.array_equal(p.T_odom_camera, q.T_world_camera) and np.array_equal(p.T_world_camera, q.T_world_camera)
     assert len(walk.odometry().placed_keyframes()["time_ns"]) == 0
     with pytest.raises(ValueError, match="batch"):

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Kept keyframes that look like one of them: votes against a plain count, poses against the true
-// ones, and the same bits on both executors.
+// ones, scales of one camera, and the same bits on both executors.
 #include "ft/kernels/loops/match_keyframes.hpp"
 
 #include <gtest/gtest.h>
@@ -11,6 +11,7 @@
 #include <cstring>
 #include <vector>
 
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/loop_archive.hpp"
 #include "ft/core/error.hpp"
 #include "ft/kernels/loops/keep_keyframe.hpp"
@@ -36,6 +37,17 @@ struct arrays {
   ft::loop_match* found = nullptr;
 };
 
+using one_camera = ft::monocular_rig<ft::pinhole<float>>;
+constexpr float unit = 0.6f;  ///< of the query in units of the row, of one camera
+
+template <typename Rig>
+Rig make_rig() {
+  if constexpr (ft::is_monocular_v<Rig>) {
+    return {test::example_rig<ft::rectified_rig>().camera};
+  } else {
+    return test::example_rig<Rig>();
+  }
+}
 template <typename Rig>
 auto const& model_of(Rig const& rig, int c) {
   if constexpr (Rig::rectified) {
@@ -68,7 +80,7 @@ ft::vec3<double> in_body(Rig const& rig, int c, ft::vec3<double> const& p) {
 template <typename Exec, typename Rig>
 struct scene {
   Exec const& exec;
-  Rig rig = test::example_rig<Rig>();
+  Rig rig = make_rig<Rig>();
   test::motion T_query_row = test::turn({0.1, 1, 0.2}, 0.25, {0.3, -0.05, 0.2});
   test::mirrored<Exec, arrays> data;
 
@@ -126,6 +138,11 @@ private:
     int const c = a.camera[to];
     auto const seen = model_of(rig, c).project(in_camera(rig, c, p).template cast<float>());
     a.point[to] = p.template cast<float>();
+    if constexpr (ft::is_monocular_v<Rig>) {
+      // Depths are known within some percent; one in eight is wrong.
+      float const error = i % 8 == 0 ? random.real(0.2f, 4) : random.real(0.93f, 1.07f);
+      a.point[to] = ft::scaled(a.point[to], error / unit);
+    }
     a.x[to] = seen.pixel.x + random.real(-0.5f, 0.5f);
     a.y[to] = seen.pixel.y + random.real(-0.5f, 0.5f);
     a.orb[to] = random.flipped(a.orb[from], 12);
@@ -176,6 +193,8 @@ void finds_the_pose(Exec const& exec) {
     EXPECT_GE(found.inliers, 65);
     EXPECT_LT(s.off(), 0.02);
     EXPECT_GT(found.information[0], 0);
+    EXPECT_EQ(found.scale, 1);
+    EXPECT_EQ(found.scale_sigma, 0);
     for (int r = 0; r + 1 < rows; ++r) {
       if (r != alike) { EXPECT_LT(s.data.host.found[r].inliers, 12) << r; }
     }
@@ -186,6 +205,30 @@ TYPED_TEST(MatchKeyframes, FindsThePoseOfThePlaceAndNoOther) {
   finds_the_pose<ft::rectified_rig>(backend.exec);
   finds_the_pose<test::fisheye_rig>(backend.exec);
   finds_the_pose<test::three_camera_rig>(backend.exec);
+}
+
+TYPED_TEST(MatchKeyframes, FindsTheScaleOfOneCamera) {
+  TypeParam backend;
+  double squares = 0;
+  for (unsigned seed = 1; seed < 9; ++seed) {
+    SCOPED_TRACE(seed);
+    scene<typename TypeParam::exec_type, one_camera> const s(backend.exec, seed, 80);
+    auto const& found = s.data.host.found[alike];
+    EXPECT_GE(found.matches, 70);
+    EXPECT_GE(found.inliers, 55);
+    EXPECT_LE(found.inliers, 76) << "of points with a wrong depth";
+    EXPECT_LT(s.off(), 0.02);
+    double const error = std::log(found.scale * static_cast<double>(unit));
+    EXPECT_GT(found.scale_sigma, 0.002);
+    EXPECT_LT(found.scale_sigma, 0.01);
+    EXPECT_LT(std::abs(error), 4 * found.scale_sigma);
+    squares += error * error / (found.scale_sigma * found.scale_sigma);
+    for (int r = 0; r + 1 < rows; ++r) {
+      if (r != alike) { EXPECT_LT(s.data.host.found[r].inliers, 12) << r; }
+    }
+  }
+  EXPECT_LT(squares / 8, 3);
+  EXPECT_GT(squares / 8, 0.1);
 }
 
 TYPED_TEST(MatchKeyframes, FewPointsHaveNoPose) {
@@ -209,6 +252,8 @@ void expect_the_bits_of_the_host(Exec const& exec) {
     EXPECT_EQ(x.inliers, y.inliers);
     EXPECT_EQ(std::memcmp(&x.T_query_row, &y.T_query_row, sizeof x.T_query_row), 0);
     EXPECT_EQ(std::memcmp(x.information, y.information, sizeof x.information), 0);
+    EXPECT_EQ(x.scale, y.scale);
+    EXPECT_EQ(x.scale_sigma, y.scale_sigma);
   }
 }
 
@@ -216,6 +261,7 @@ TYPED_TEST(MatchKeyframes, BothExecutorsHaveTheSameBits) {
   TypeParam backend;
   expect_the_bits_of_the_host<ft::rectified_rig>(backend.exec);
   expect_the_bits_of_the_host<test::three_camera_rig>(backend.exec);
+  expect_the_bits_of_the_host<one_camera>(backend.exec);
 }
 
 TYPED_TEST(MatchKeyframes, RefusesMoreRowsThanThereIsMemoryFor) {
@@ -307,6 +353,51 @@ TYPED_TEST(MatchKeyframes, KeepsKeypointsWithADepthSpreadOverTheirOrder) {
       EXPECT_EQ(a.inv_sigma2[a.at(1) + i], geometry.inv_sigma2[octave]);
       EXPECT_GT(a.point[a.at(1) + i].z, 0);
     }
+  }
+}
+
+struct held_arrays {
+  int* holder = nullptr;
+  ft::map_points_view points;
+  ft::rigid<double>* T_cw = nullptr;
+  float* depth = nullptr;
+  ft::vec3<float>* point = nullptr;
+};
+
+TYPED_TEST(MatchKeyframes, PlacesTheMapPointsThatKeypointsHold) {
+  TypeParam backend;
+  constexpr int slots = 40;
+  test::mirrored<typename TypeParam::exec_type, held_arrays> data(
+      [](ft::carver& c, held_arrays& v) {
+        c.place({capacity}, v.holder, v.depth, v.point);
+        c.place({1}, v.T_cw);
+        carve(c, v.points, slots, 1);
+      });
+  test::generator random(9);
+  held_arrays const& h = data.host;
+  h.T_cw[0] = test::turn({0.2, 1, -0.1}, 0.7, {0.3, -0.2, 1.5});
+  for (int s = 0; s < slots; ++s) {
+    ft::get<ft::field::position>(h.points, s) = {random.real(-1, 1), random.real(-1, 1),
+                                                 random.real(1, 4)};
+  }
+  for (int k = 0; k < capacity; ++k) { h.holder[k] = k % 3 == 0 ? -1 : k % slots; }
+  data.push(backend.exec);
+  ft::keyframe_input<one_camera> in{};
+  in.frame.keypoints.capacity = capacity;
+  in.frame.holder = data.device.holder;
+  in.T_cw = data.device.T_cw;
+  ft::place_held_points(backend.exec, in, data.device.points, data.device.depth, data.device.point);
+  data.pull(backend.exec);
+  for (int k = 0; k < capacity; ++k) {
+    if (h.holder[k] < 0) {
+      EXPECT_EQ(h.depth[k], -1) << k;
+      continue;
+    }
+    auto const want =
+        h.T_cw[0] * ft::get<ft::field::position>(h.points, k % slots).template cast<double>();
+    auto const d = want - h.point[k].template cast<double>();
+    EXPECT_LT(ft::dot(d, d), 1e-12) << k;
+    EXPECT_EQ(h.depth[k], h.point[k].z) << k;
   }
 }
 

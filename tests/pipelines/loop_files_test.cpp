@@ -75,7 +75,8 @@ struct known {
   }
   saved read(std::string const& text, int most = rows) const {
     std::istringstream file(text);
-    return ft::detail::read_loops<ft::host_exec>(archive.view(), most, 16, cameras, file);
+    return ft::detail::read_loops<ft::host_exec>(archive.view(), {most, 16, cameras, path.scaled},
+                                                 file);
   }
 };
 
@@ -110,6 +111,18 @@ TEST(LoopFiles, ComeBackAsTheyWere) {
   EXPECT_EQ(got.loops[1].to, 4);
 }
 
+TEST(LoopFiles, TheScalesOfOneCameraComeBack) {
+  known k;
+  k.path.scaled = true;
+  k.path.keyframes[3].T_world_camera.scale = 1.25;
+  k.path.loops[1].T_from_to.scale = 0.75;
+  k.path.loops[1].scale_information = 7;
+  saved const got = k.read(k.text());
+  EXPECT_EQ(got.keyframes[3].T_world_camera.scale, 1.25);
+  EXPECT_EQ(got.loops[1].T_from_to.scale, 0.75);
+  EXPECT_EQ(got.loops[1].scale_information, 7);
+}
+
 TEST(LoopFiles, NumbersThatNobodyCanFollowAreRefused) {
   using change = std::function<void(known&)>;
   auto const of_point = [](known& k, int p) { return k.archive->at(6) + p; };
@@ -130,6 +143,13 @@ TEST(LoopFiles, NumbersThatNobodyCanFollowAreRefused) {
       [](known& k) { k.path.keyframes[1].path = -1; },
       [](known& k) { k.path.keyframes[1].T_odom_camera.t.x = 1e300; },
       [](known& k) { k.path.keyframes[1].T_world_camera.R.m[0] = -1; },
+      [](known& k) { k.path.keyframes[1].T_world_camera.scale = 1.5; },
+      [](known& k) {
+        k.path.scaled = true;
+        k.path.keyframes[1].T_world_camera.scale = 0;
+      },
+      [](known& k) { k.path.loops[1].T_from_to.scale = 0.5; },
+      [](known& k) { k.path.loops[1].scale_information = -1; },
       [](known& k) {
         k.path.gravity = {1e-10, 0, 0};
       },

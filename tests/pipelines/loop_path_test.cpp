@@ -17,6 +17,8 @@ namespace loop_path_test {
 
 using ft::detail::loop_path;
 using ft::detail::path_loop;
+using ft::detail::with_scale;
+using ft::detail::without_scale;
 using test::at;
 constexpr double turn_of_lap = 6.283185307179586;
 
@@ -47,7 +49,8 @@ loop_path drifting_lap(int n, double drift) {
     k.map = k.part = 1;
     k.path = way;
     k.time_ns = i * 1000;
-    k.T_odom_camera = k.T_world_camera = T.orthonormalized();
+    k.T_odom_camera = T.orthonormalized();
+    k.T_world_camera = with_scale(k.T_odom_camera);
     ft::detail::edge_information(certain, 1, k.information);
     path.keyframes.push_back(k);
   }
@@ -57,7 +60,7 @@ path_loop true_loop(int from, int to, int n) {
   path_loop l;
   l.from = from;
   l.to = to;
-  l.T_from_to = (truth(from, n).inverse() * truth(to, n)).orthonormalized();
+  l.T_from_to = with_scale((truth(from, n).inverse() * truth(to, n)).orthonormalized());
   ft::detail::edge_information(certain, 1, l.information);
   return l;
 }
@@ -76,9 +79,74 @@ TEST(LoopPath, ALoopSpreadsTheDriftOverTheLap) {
   EXPECT_LT(error(path, n - 1, n), before / 10);
   EXPECT_EQ(error(path, 0, n), 0);
   // What the odometry tracked stays, and the correction takes the newest keyframe to its place.
-  auto const T = path.T_world_odom() * path.keyframes.back().T_odom_camera;
+  auto const T = path.T_world_odom() * with_scale(path.keyframes.back().T_odom_camera);
   EXPECT_NEAR(T.t.x, path.keyframes.back().T_world_camera.t.x, 1e-9);
   EXPECT_NEAR(T.t.z, path.keyframes.back().T_world_camera.t.z, 1e-9);
+}
+
+/// A lap of one camera whose unit grows by the same share in each step.
+loop_path growing_lap(int n, double share) {
+  loop_path path = drifting_lap(n, 0);
+  path.scaled = true;
+  double unit = 1;
+  for (int i = 1; i < n; ++i) {
+    test::motion step = truth(i - 1, n).inverse() * truth(i, n);
+    step.t = ft::scaled(step.t, 1 / unit);
+    unit *= 1 + share;
+    auto& k = path.keyframes[at(i)];
+    k.T_odom_camera = (path.at(i - 1).T_odom_camera * step).orthonormalized();
+    k.T_world_camera = with_scale(k.T_odom_camera);
+  }
+  return path;
+}
+/// Of two keyframes of that lap.
+path_loop true_scaled_loop(int from, int to, int n, double share) {
+  path_loop l = true_loop(from, to, n);
+  l.T_from_to.scale = std::pow(1 + share, to - from);
+  l.T_from_to.t = ft::scaled(l.T_from_to.t, std::pow(1 + share, -from));
+  l.scale_information = 1e6;
+  return l;
+}
+
+TEST(LoopPath, ALoopSpreadsTheDriftOfTheScaleOverTheLap) {
+  constexpr int n = 60;
+  constexpr double share = 0.004;  // a quarter in all
+  loop_path path = growing_lap(n, share);
+  double const before = error(path, n - 1, n);
+  ASSERT_GT(before, 0.3);
+  EXPECT_TRUE(path.fits(true_scaled_loop(0, n - 1, n, share), {}, 0));
+  path.loops.push_back(true_scaled_loop(0, n - 1, n, share));
+  path.optimize(ft::host_exec());
+  double worst = 0;
+  for (int i = 0; i < n; ++i) {
+    worst = std::fmax(worst, error(path, i, n));
+    EXPECT_NEAR(path.at(i).T_world_camera.scale, std::pow(1 + share, i), 0.01) << i;
+  }
+  EXPECT_LT(worst, before / 20);
+  EXPECT_EQ(path.at(0).T_world_camera.scale, 1);
+  auto const T = path.T_world_odom();
+  EXPECT_NEAR(T.scale, path.keyframes.back().T_world_camera.scale, 1e-12);
+  auto const p = T * path.keyframes.back().T_odom_camera.t;
+  EXPECT_NEAR(p.x, path.keyframes.back().T_world_camera.t.x, 1e-9);
+}
+
+TEST(LoopPath, AScaleMustBeOneThatMayHaveDrifted) {
+  constexpr int n = 60;
+  loop_path path = growing_lap(n, 0);
+  path_loop l = true_loop(0, n - 1, n);
+  ft::loop_params params;
+  for (double const scale : {1.0, 1.6, 1 / 1.6, 1.7, 1 / 1.7}) {
+    l.T_from_to.scale = scale;
+    EXPECT_EQ(path.fits(l, params, 0), std::abs(std::log(scale)) < 0.5) << scale;
+  }
+  // A scale that has not drifted explains no other place.
+  l = true_loop(0, n - 1, n);
+  l.T_from_to.t.x += 1;  // 8 % of the way
+  EXPECT_FALSE(path.fits(l, params, 0));
+  path_loop other = l = true_scaled_loop(0, n - 1, n, 0);
+  EXPECT_TRUE(path.agree(l, other));
+  other.T_from_to.scale = 1.02;  // 20 deviations, of which 8 times the variance leaves 7
+  EXPECT_FALSE(path.agree(l, other));
 }
 
 TEST(LoopPath, KnownGravityKeepsEachKeyframesAnglesAgainstIt) {
@@ -119,7 +187,7 @@ TEST(LoopPath, FitsWhatTheOdometryMayHaveDrifted) {
   EXPECT_FALSE(path.fits(wrong, params, 0));
   EXPECT_TRUE(path.fits(wrong, params, 0.5));  // 5 % of the way are 0.6 m
   path_loop turned = true_loop(0, n - 1, n);
-  turned.T_from_to = turned.T_from_to * test::turn({0, 1, 0}, 0.5, {0, 0, 0});
+  turned.T_from_to = turned.T_from_to * with_scale(test::turn({0, 1, 0}, 0.5, {0, 0, 0}));
   EXPECT_FALSE(path.fits(turned, params, 0));
   path.keyframes.back().part = 2;  // whose place is guessed
   EXPECT_FALSE(path.fits(true_loop(0, n - 1, n), params, 0));
@@ -144,7 +212,8 @@ loop_path broken_lap(int n) {
   for (int i = n / 2; i < n; ++i) {
     auto& k = path.keyframes[at(i)];
     k.map = k.part = 2;
-    k.T_odom_camera = k.T_world_camera = (wrong * k.T_world_camera).orthonormalized();
+    k.T_odom_camera = (wrong * k.T_odom_camera).orthonormalized();
+    k.T_world_camera = with_scale(k.T_odom_camera);
   }
   return path;
 }
@@ -170,6 +239,33 @@ TEST(LoopPath, TwoKeyframesThatAgreeJoinTwoMaps) {
   // From now on such a loop is one of the same part, which must fit it.
   EXPECT_TRUE(path.fits(true_loop(3, n - 5, n), {}, 0));
   EXPECT_EQ(path.at(n - 1).map, 2);
+}
+
+TEST(LoopPath, MapsOfOneCameraAreJoinedWhateverTheirUnits) {
+  constexpr int n = 60;
+  constexpr double unit = 0.37;  // of the second map
+  loop_path path = broken_lap(n);
+  path.scaled = true;
+  for (int i = n / 2; i < n; ++i) {
+    auto& k = path.keyframes[at(i)];
+    k.T_odom_camera.t = ft::scaled(k.T_odom_camera.t, 1 / unit);
+    k.T_world_camera = with_scale(k.T_odom_camera);
+  }
+  auto const loop = [&](int from, int to, double of_unit) {
+    path_loop l = true_loop(from, to, n);
+    l.T_from_to.scale = of_unit;
+    l.scale_information = 1e6;
+    return l;
+  };
+  EXPECT_EQ(path.join(loop(1, n - 3, unit)), 0);
+  EXPECT_EQ(path.join(loop(0, n - 2, 1.1 * unit)), 0) << "another scale";
+  EXPECT_EQ(path.join(loop(1, n - 1, unit)), 2);
+  path.optimize(ft::host_exec());
+  for (int i = 0; i < n; ++i) {
+    EXPECT_EQ(path.at(i).part, 1) << i;
+    EXPECT_LT(error(path, i, n), 1e-6) << i;
+    EXPECT_NEAR(path.at(i).T_world_camera.scale, i < n / 2 ? 1 : unit, 1e-9) << i;
+  }
 }
 
 TEST(LoopPath, MapsThatNothingJoinsKeepTheirPlaces) {
@@ -198,7 +294,7 @@ TEST(LoopPath, ThinnedOutItsLoopsStayWhereTheyWere) {
   for (int i = 0; i < path.size(); ++i) { EXPECT_EQ(path.at(i).row, i < 38 ? 2 * i : i + 37); }
   for (path_loop const& l : path.loops) {
     ASSERT_LT(l.to, path.size());
-    auto const T = path.at(l.from).T_odom_camera * l.T_from_to;
+    auto const T = with_scale(path.at(l.from).T_odom_camera) * l.T_from_to;
     auto const d = T.t - path.at(l.to).T_odom_camera.t;
     EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-9);
   }

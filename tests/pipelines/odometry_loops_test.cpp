@@ -3,6 +3,7 @@
 // not changed, corrections enter when they must, and what cannot have loops is refused.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -11,7 +12,6 @@
 #include <string>
 #include <vector>
 
-#include "ft/cameras/monocular_rig.hpp"
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/core/error.hpp"
 #include "ft/pipelines/odometry.hpp"
@@ -256,6 +256,47 @@ TYPED_TEST(OdometryLoops, ASavedMapIsFoundFromAnywhere) {
   for (auto const& k : second.placed_keyframes()) { EXPECT_EQ(k.map, 1) << k.time_ns; }
 }
 
+TYPED_TEST(OdometryLoops, ItIsFoundInThreeFrames) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type>;
+  auto const rig = test::room::rig();
+  odometry odo(backend.exec, rig, params(), 1, ft::loops{});
+  std::string const bytes = saved_after(odo, rig, lap - 2);
+  for (int from = 1; from < lap - 8; from += 4) {
+    std::istringstream file(bytes);
+    odo.load_map(file);
+    ft::tracking told;
+    for (int i = from; i < from + 3; ++i) {
+      auto const& f = walk(rig)[at(i)];
+      told = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    }
+    EXPECT_EQ(told.state, ft::tracking_state::tracking) << from;
+    EXPECT_LT(off(told.T_world_camera, from + 2), 0.05) << from;
+  }
+}
+
+TYPED_TEST(OdometryLoops, ACameraInAnotherRoomIsNotFound) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type>;
+  auto const rig = test::room::rig();
+  odometry odo(backend.exec, rig, params(), 1, ft::loops{});
+  std::istringstream file(saved_after(odo, rig, lap / 2));
+  odo.load_map(file);
+  constexpr int looked_for = 29;  // each frame is
+  auto const other = test::room::make_walk(rig, 1, looked_for);
+  ft::tracking told;
+  for (int i = 0; i < looked_for; ++i) {
+    auto const& f = other[at(i)];
+    told = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    EXPECT_EQ(told.loops_closed, 0) << i;
+  }
+  EXPECT_EQ(told.maps, 2);
+  auto const placed = odo.placed_keyframes();
+  EXPECT_EQ(placed.front().map, 1);
+  EXPECT_EQ(std::count_if(placed.begin(), placed.end(), [](auto const& k) { return k.map == 2; }),
+            looked_for);
+}
+
 // A file with loops, from the middle of a search: what they correct is known before a frame.
 TYPED_TEST(OdometryLoops, ASavedCorrectionIsThatOfThePrediction) {
   TypeParam backend;
@@ -346,17 +387,15 @@ TYPED_TEST(OdometryLoops, RefusesWhatCannotHaveLoops) {
            [](ft::loop_params& p) { p.keyframes = 100; }, [](ft::loop_params& p) { p.points = 3; },
            [](ft::loop_params& p) { p.min_votes = p.votes + 1; },
            [](ft::loop_params& p) { p.min_share = std::nanf(""); },
-           [](ft::loop_params& p) { p.max_drift = -1; }, [](ft::loop_params& p) { p.recent = 0; },
+           [](ft::loop_params& p) { p.max_drift = -1; },
+           [](ft::loop_params& p) { p.max_scale_drift = std::nanf(""); },
+           [](ft::loop_params& p) { p.recent = 0; },
            [](ft::loop_params& p) { p.recent = p.keyframes; },
            [](ft::loop_params& p) { p.min_inliers = p.points + 1; }}) {
     auto p = params();
     change(p.loops);
     EXPECT_THROW(make(p, 1), ft::bad_argument);
   }
-  using mono = ft::monocular_rig<ft::pinhole<float>>;
-  EXPECT_THROW(
-      (ft::odometry<exec_type, mono>(backend.exec, mono{rig.camera}, params(), 1, ft::loops{})),
-      ft::bad_argument);
 }
 
 }  // namespace odometry_loops_test

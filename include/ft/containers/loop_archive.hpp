@@ -50,10 +50,16 @@ inline void carve(carver& c, loop_archive_view& v, int rows, int points) {
 
 /// What was found between two keyframes.
 struct loop_match {
-  rigid<double> T_query_row;  ///< from the frame of the row's pose to that of the query's, metres
+  rigid<double> T_query_row;  ///< from the frame of the row's pose to that of the query's, metres,
+                              ///< or the row's units
   int matches;                ///< that are each other's nearest
   int inliers;                ///< of these, those that agree with the pose; 0 = there is none
-  /// Upper triangle by rows of the pose's information matrix, as in pose_problem.
+  /// Of one camera alone how many units of the query a unit of the row is, by the depths of both,
+  /// and the standard deviation of its natural logarithm; else 1 and 0.
+  double scale;
+  double scale_sigma;
+  /// Upper triangle by rows of the pose's information matrix, as in pose_problem, in units of the
+  /// row.
   float information[21];
 };
 

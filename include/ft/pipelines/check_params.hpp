@@ -91,6 +91,7 @@ inline void check(loop_params const& p) {
   detail::require_range("loops.min_share", p.min_share, 0.0f, 1.0f);
   detail::require_range("loops.max_drift", p.max_drift, 0.0f, 10.0f);
   detail::require_range("loops.max_turn", p.max_turn, 0.0f, 3.2f);
+  detail::require_range("loops.max_scale_drift", p.max_scale_drift, 0.0f, 10.0f);
 }
 
 /// What does not depend on the rig; of the IMU only if there is one.

@@ -191,8 +191,10 @@ public:
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::require_motion(T_world_camera);
     odometry_input& in = p.stages.own.inputs[b];
-    in.T_cw =
-        (p.results[static_cast<std::size_t>(b)].T_world_odom.inverse() * T_world_camera).inverse();
+    tracking const& last = p.results[static_cast<std::size_t>(b)];
+    rigid<double> T_odom_camera = last.T_world_odom.inverse() * T_world_camera;
+    T_odom_camera.t = scaled(T_odom_camera.t, 1 / last.odom_scale);
+    in.T_cw = T_odom_camera.inverse();
     in.predicted = 1;
   }
   /// A sample of camera pair b's IMU. Samples of one IMU come in order; a frame uses those that
@@ -281,9 +283,11 @@ public:
   }
   /// Replaces the map of camera pair b by a saved one. The camera is searched for in it, near its
   /// newest keyframes, as one that was lost; predict() says where else. With ft::loops it is found
-  /// anywhere: what it sees meanwhile is a map of its own, until two keyframes are recognised.
-  /// Any time stamp may follow. What was known about an IMU is forgotten. Reads no more of the
-  /// stream than the file's head says. Waits, and allocates.
+  /// anywhere: from the first frame that is not found there it has a map of its own, until two of
+  /// its frames are recognised. Up to 30 frames are looked for, one after the other, which each
+  /// wait for the search of the one before; then keyframes alone. Any time stamp may follow. What
+  /// was known about an IMU is forgotten. Reads no more of the stream than the file's head says.
+  /// Waits, and allocates.
   /// @throws error, with nothing changed, for a file that is truncated or damaged, has numbers out
   ///   of range or, where the stream can be positioned, bytes after its end, and naming what
   ///   differs for one that was made with another rig, image size, pyramid or capacity, or by
@@ -291,15 +295,17 @@ public:
   void load_map(std::istream& from, int b = 0) {
     engine& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    bool has_loops = false;
     detail::load_odometry_map(p.exec, p.stages.own.map, b, origin(), p.stages.geometry().levels,
                               from, p.given.loops.present, [&](bool loops) {
+                                has_loops = loops;
                                 for (auto const& part : p.stages.plugged) {
                                   part->read(loops ? &from : nullptr);
                                 }
                               });
     auto const i = static_cast<std::size_t>(b);
     p.results[i] = {};
-    p.results[i].state = p.stages.enter_loaded_map(p.exec, b);
+    p.results[i].state = p.stages.enter_loaded_map(p.exec, b, has_loops);
     if constexpr (engine::stages_type::starts_from_motion) { p.stages.beginning.forget(p.exec, b); }
     for (auto const& part : p.stages.plugged) { part->forget(p.exec, b, p.results[i]); }
     p.begun[i] = 0;

@@ -31,6 +31,9 @@ struct loop_params {
   float max_drift = 0.05f;
   float max_turn = 0.1f;  ///< must not turn it by more than this, rad, and 0.01 rad for each metre
                           ///< of the path. So places that look alike are told apart.
+  /// With one camera whose scale drifts: nor change the natural logarithm of its scale by more than
+  /// this. What it changes that by is added to max_drift.
+  float max_scale_drift = 0.5f;
 };
 
 /// Plugged into an odometry whose odometry_params::loops are present: places that were seen before
@@ -40,26 +43,31 @@ struct loop_params {
 /// kept and are not among the newest, one search after the other: by descriptors, then by a pose
 /// that most matches agree with. A loop is closed where two neighbouring keyframes say the same of
 /// that pose, and what it corrects is no more than the odometry may have drifted since. A map that
-/// a lost camera begins is joined with an older one where two of its keyframes say the same. Then
+/// a lost camera begins is joined with an older one where two of its keyframes say the same; that
+/// of a camera that is not found in a loaded map where two of its first frames do. Then
 /// the poses of all keyframes are optimised, with an IMU that knew gravity before the first loop in
-/// heading and position alone. That runs beside tracking, on a thread, and on a GPU on a stream of
-/// its own; the correction enters a number of frames later that depends on the number of keyframes
-/// alone, and a frame that comes sooner waits. The odometry itself is not changed: see
-/// tracking::T_odom_camera and T_world_odom. An exception of a search, such as bad_alloc, is thrown
-/// by the next track(), of which nothing has changed then.
+/// heading and position alone. One camera alone has a unit of length that drifts: its poses are
+/// optimised with a scale each, which the depths that both keyframes know of their common points
+/// tell. With an IMU its keyframes are kept from when that has told the scale. That runs beside
+/// tracking, on a thread, and on a GPU on a stream of its own; the correction enters a number of
+/// frames later that depends on the number of keyframes alone, and a frame that comes sooner waits.
+/// The odometry itself is not changed: see tracking::T_odom_camera and T_world_odom. An exception
+/// of a search, such as bad_alloc, is thrown by the next track(), of which nothing has changed
+/// then.
 ///
-/// A keyframe costs its frame a launch and a wait.
+/// A keyframe costs its frame a launch and a wait, of one camera two launches.
 ///
-/// The constructor throws bad_argument for parameters out of range, more than one rig,
-/// without odometry_params::loops, and for a monocular_rig.
+/// The constructor throws bad_argument for parameters out of range, more than one rig, and without
+/// odometry_params::loops.
 struct loops {};
 
-/// A keyframe that loops have corrected.
+/// A keyframe that loops have corrected, or a frame that was looked for in a loaded map.
 struct placed_keyframe {
   std::int64_t time_ns;
   int map;  ///< number of the map that it is in; of maps that loops have joined, of the first one
   rigid<double> T_odom_camera;   ///< as it was tracked
   rigid<double> T_world_camera;  ///< as it is known now
+  double scale;  ///< of the odometry's unit there in the world's, as tracking::odom_scale; else 1
 };
 
 }  // namespace v0

@@ -119,6 +119,9 @@ struct tracking {
   /// corrected so far, REP 105's map to odom.
   rigid<double> T_odom_camera = rigid<double>::identity();
   rigid<double> T_world_odom = rigid<double>::identity();
+  /// With ft::loops and one camera without an IMU, whose unit of length drifts: how many units of
+  /// the world one of the odometry's is now. T_odom_camera.t is multiplied by it first. Else 1.
+  double odom_scale = 1;
   int loops_closed = 0;  ///< whose correction enters with this frame
   tracking_state state = tracking_state::initialising;
   /// Lengths are metres. False of a monocular_rig, whose unit it says, until its IMU tells the

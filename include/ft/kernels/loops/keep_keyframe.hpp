@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Stage: keeps the keypoints of a frame that have a depth.
+/// @file Stages: keep the keypoints of a frame that have a depth, or hold a map point.
 #pragma once
 
 #include <cstddef>
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/loop_archive.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -81,7 +83,37 @@ private:
   }
 };
 
+/// Item: a keypoint of the only camera. The map point that it holds, in the camera's frame.
+struct place_held_point {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, int const* holder,
+                                 map_points_view const& points, rigid<double> const* T_cw,
+                                 float* depth, vec3<float>* point) const {
+    depth[i] = -1;
+    if (holder[i] < 0) { return; }
+    auto const p = T_cw->cast<strict_double>() *
+                   get<field::position>(points, holder[i]).template cast<strict_double>();
+    point[i] = p.template cast<float>();
+    depth[i] = point[i].z;
+  }
+};
+
 }  // namespace detail
+
+/// The map points that the keypoints of one camera's frame hold, instead of depths that it does not
+/// see. Asynchronous on `exec`; allocates nothing; one launch.
+/// @param in batch of one @param points of the map that its T_cw and `holder` are of
+/// @param depth [capacity] executor memory, -1 = holds none @param point likewise, where it has a
+///   depth, in the camera's frame
+template <typename Exec, typename Rig>
+void place_held_points(Exec const& exec, keyframe_input<Rig> const& in,
+                       map_points_view const& points, float* depth, vec3<float>* point) {
+  for_each_item<per_thread>(exec, in.frame.capacity(), detail::place_held_point{},
+                            static_cast<int const*>(in.frame.holder), points, in.T_cw, depth,
+                            point);
+}
 
 /// Keeps the keypoints of a frame that have a depth, of the left camera or of each of a multi_rig,
 /// at most loop_archive_view::points of them, spread evenly over their order. Asynchronous on

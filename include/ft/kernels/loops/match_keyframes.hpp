@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "ft/cameras/monocular_rig.hpp"
 #include "ft/containers/loop_archive.hpp"
 #include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -16,6 +17,8 @@
 #include "ft/core/ordered_sum.hpp"
 #include "ft/kernels/pnp/draw_pose.hpp"
 #include "ft/kernels/pose/optimize_pose.hpp"
+#include "ft/math/log.hpp"
+#include "ft/math/sim3.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"
 
@@ -36,6 +39,8 @@ struct loop_workspace {
   int* nearest_in_row = nullptr;     ///< [capacity][points] of the query's points, -1 = none
   int* nearest_in_query = nullptr;   ///< [capacity][points] of the row's points, -1 = none
   observation* matches = nullptr;    ///< [capacity][points]
+  int* matched = nullptr;            ///< [capacity][points] the query's point of each match
+  int* ratio = nullptr;              ///< [capacity][points] of the depths of both
   unsigned char* outlier = nullptr;  ///< [capacity][points]
   pose* T = nullptr;                 ///< [capacity]
   int* inliers = nullptr;            ///< [capacity]
@@ -44,7 +49,8 @@ struct loop_workspace {
 inline void carve(carver& c, loop_workspace& v, int capacity, int points) {
   v.capacity = capacity;
   v.points = points;
-  c.place({capacity, points}, v.nearest_in_row, v.nearest_in_query, v.matches, v.outlier);
+  c.place({capacity, points}, v.nearest_in_row, v.nearest_in_query, v.matches, v.matched, v.ratio,
+          v.outlier);
   c.place({capacity}, v.T, v.inliers);
 }
 
@@ -123,6 +129,8 @@ struct place_query {
     if (g.rank() == 0) {
       out.matches = n;
       out.inliers = 0;
+      out.scale = 1;
+      out.scale_sigma = 0;
     }
     g.sync();
     if (n < least) { return; }
@@ -136,12 +144,72 @@ struct place_query {
     for (int i = g.rank(); i < n; i += g.size()) { solver.prepare(i, list[i]); }
     solver.solve();
     g.sync();
+    if constexpr (is_monocular_v<Rig>) { compare_depths(g, r, a, rows, work, n, out); }
     if (g.rank() != 0) { return; }
     out.T_query_row = work.T[r].template cast<double>();
-    out.inliers = work.inliers[r];
+    if constexpr (!is_monocular_v<Rig>) { out.inliers = work.inliers[r]; }
   }
 
 private:
+  /// The scale that the depths of the points tell which agree with the pose: the median of their
+  /// ratios. A pose of the query against the row's points has the row's units, whatever the
+  /// query's are, and does not suffer from the error of the query's depths. Points are inliers if
+  /// their ratios are that of the scale within a fifth, too.
+  template <typename Group>
+  FT_HOST_DEVICE static void compare_depths(Group g, int r, loop_archive_view const& a,
+                                            loop_rows const& rows, loop_workspace const& work,
+                                            int n, loop_match& out) {
+    constexpr double unit = 1.0 / 4096;  // of logarithms of ratios
+    constexpr int fifth = 747;           // log 1.2
+    constexpr int none = 1 << 30;
+    std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(r) * a.points;
+    int* const ratio = work.ratio + first;
+    auto const T = work.T[r].template cast<strict_double>();
+    int mine = 0;
+    for (int i = g.rank(); i < n; i += g.size()) {
+      auto const p = T * work.matches[first + i].point.template cast<strict_double>();
+      strict_double const z =
+          static_cast<double>(a.point[a.at(rows.query) + work.matched[first + i]].z);
+      bool const known =
+          work.outlier[first + i] == 0 && p.z > strict_double(0) && z > strict_double(0);
+      ratio[i] = known ? static_cast<int>((strict_log(z / p.z) / strict_double(unit)).value) : none;
+      mine += static_cast<int>(known);
+    }
+    g.sync();
+    int const known = g.reduce(mine, sum_op{});
+    if (known == 0) { return; }
+    int const median = in_order(g, ratio, n, (known - 1) / 2);
+    g.sync();
+    mine = 0;
+    for (int i = g.rank(); i < n; i += g.size()) {
+      if (ratio[i] == none) { continue; }
+      ratio[i] = ratio[i] < median ? median - ratio[i] : ratio[i] - median;
+      mine += static_cast<int>(ratio[i] <= fifth);
+    }
+    g.sync();
+    int const spread = in_order(g, ratio, n, (known - 1) / 2);
+    int const inliers = g.reduce(mine, sum_op{});
+    if (g.rank() != 0) { return; }
+    out.inliers = inliers;
+    out.scale = strict_exp(strict_double(median) * strict_double(unit)).value;
+    // Of a median of errors with that median of their sizes, if they were normal.
+    strict_double const error = strict_double(1.4826 * 1.2533) * strict_double(max_of(spread, 1));
+    out.scale_sigma = (error * strict_double(unit) / scalar::sqrt(strict_double(known))).value;
+  }
+  /// Of n numbers the one at place k of their ascending order. By all threads of a group.
+  template <typename Group>
+  FT_HOST_DEVICE static int in_order(Group g, int const* numbers, int n, int k) {
+    int found = 1 << 30;
+    for (int i = g.rank(); i < n; i += g.size()) {
+      int below = 0, same = 0;
+      for (int j = 0; j < n; ++j) {
+        below += static_cast<int>(numbers[j] < numbers[i]);
+        same += static_cast<int>(numbers[j] == numbers[i]);
+      }
+      if (below <= k && k < below + same) { found = numbers[i]; }
+    }
+    return g.reduce(found, min_op{});
+  }
   /// The matches of the camera that has most of them, the first one of equals.
   FT_HOST_DEVICE seen_matches<Rig> of_busiest(observation const* list, int n) const {
     seen_matches<Rig> best{rig, 0, list, n};
@@ -174,6 +242,7 @@ private:
       int const place = n + g.exclusive_count(there, here);
       n += here;
       if (!there) { continue; }
+      work.matched[first + place] = i;
       list[place] = {a.point[row + k],     a.x[query + i],          a.y[query + i],
                      a.right_x[query + i], a.inv_sigma2[query + i], a.camera[query + i]};
     }
@@ -197,8 +266,9 @@ void vote_for_rows(Exec const& exec, loop_archive_view const& archive, loop_rows
 }
 
 /// Matches the query's keypoints with each row's points, all with all; finds the pose that most
-/// matches agree with, among 256 poses from three matches each of the camera with most; and
-/// optimises it. Asynchronous on `exec`; allocates nothing; two launches.
+/// matches agree with, among 256 poses from three matches each of the camera with most; optimises
+/// it; and of one camera alone compares the depths. Asynchronous on `exec`; allocates nothing; two
+/// launches.
 /// @param seed of the draws @param out [rows.count] executor memory
 /// @throws bad_argument for more rows, or larger ones, than there is working memory for
 template <typename Exec, typename Rig>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file What an odometry knows about its loops, as a file: it follows the map's.
 ///
-/// Version 1, little-endian, without padding:
+/// Version 2, little-endian, without padding:
 /// - 16 bytes "ft loop archive" and 0; uint32 version; uint32 0x01020304; uint64 bytes that follow
 ///   before the hash;
 /// - int32 keyframes, int32 loops, double gravity[3];
@@ -39,7 +39,7 @@ namespace detail {
 
 struct loop_file_head {
   char magic[16] = "ft loop archive";
-  std::uint32_t version = 1;
+  std::uint32_t version = 2;
   std::uint32_t order = 0x01020304;
   std::uint64_t bytes = 0;
 };
@@ -52,7 +52,7 @@ void each_number(path_keyframe& k, Visit const& visit) {
 }
 template <typename Visit>
 void each_number(path_loop& l, Visit const& visit) {
-  visit(l.from, l.to, l.T_from_to, l.information);
+  visit(l.from, l.to, l.T_from_to, l.information, l.scale_information);
 }
 
 /// Calls visit(array, count) for what is kept of a keyframe's points.
@@ -155,6 +155,15 @@ inline void check_saved_information(double const (&information)[21]) {
   }
 }
 
+/// @param scaled whether its scale may be another one than 1
+inline void check_saved_similarity(similarity<double> const& T, bool scaled) {
+  check_saved_pose(without_scale(T));
+  if (!scaled && T.scale != 1) {
+    throw error("ft: the map file has scales: it is of one camera without an IMU");
+  }
+  require_saved("a scale", T.scale, 1e-9, 1e9);
+}
+
 /// @param cameras of the rig
 inline void check_saved_row(loop_archive_view const& a, int row, int cameras) {
   int camera = 0;
@@ -182,11 +191,19 @@ inline void renumber_maps(std::vector<path_keyframe>& keyframes) {
   }
 }
 
-/// Reads and checks a whole file. @param most keyframes @param most_loops of them, in all
+/// What a file with loops may have.
+struct loop_file_limits {
+  int keyframes;
+  int loops;
+  int cameras;  ///< of the rig
+  bool scaled;  ///< as in loop_path
+};
+
+/// Reads and checks a whole file.
 /// @throws error for a file that is truncated, damaged, larger than there is room for, or has
 ///   numbers out of range
 template <typename Exec>
-saved_loops<Exec> read_loops(loop_archive_view const& like, int most, int most_loops, int cameras,
+saved_loops<Exec> read_loops(loop_archive_view const& like, loop_file_limits const& most,
                              std::istream& from) {
   loop_file_reader in(from);
   auto const get = [&in](auto&... values) { (in.take(&values, 1), ...); };
@@ -194,8 +211,8 @@ saved_loops<Exec> read_loops(loop_archive_view const& like, int most, int most_l
   loop_archive_view const& a = to.archive.view();
   int keyframes = 0, loops = 0, steps = 0;
   get(keyframes, loops, to.gravity);
-  require_saved("keyframes of loops", keyframes, 0, most);
-  require_saved("loops", loops, 0, most_loops);
+  require_saved("keyframes of loops", keyframes, 0, most.keyframes);
+  require_saved("loops", loops, 0, most.loops);
   double const gravity[3] = {to.gravity.x, to.gravity.y, to.gravity.z};
   for (double const g : gravity) { require_saved("gravity", g, -1e3, 1e3); }
   double const square = dot(to.gravity, to.gravity);
@@ -212,12 +229,12 @@ saved_loops<Exec> read_loops(loop_archive_view const& like, int most, int most_l
     steps += k.steps;
     require_saved("the path to a keyframe", k.path, 0.0, 1e12);
     check_saved_pose(k.T_odom_camera);
-    check_saved_pose(k.T_world_camera);
+    check_saved_similarity(k.T_world_camera, most.scaled);
     check_saved_information(k.information);
     get(a.count[i]);
     require_saved("points of a keyframe", a.count[i], 0, a.points);
     each_point_array(a, i, [&in](auto* array, std::size_t n) { in.take(array, n); });
-    check_saved_row(a, i, cameras);
+    check_saved_row(a, i, most.cameras);
     to.keyframes.push_back(k);
   }
   for (int i = 0; i < loops; ++i) {
@@ -225,7 +242,8 @@ saved_loops<Exec> read_loops(loop_archive_view const& like, int most, int most_l
     each_number(l, get);
     require_saved("the end of a loop", l.to, 1, keyframes - 1);
     require_saved("the begin of a loop", l.from, 0, l.to - 1);
-    check_saved_pose(l.T_from_to);
+    check_saved_similarity(l.T_from_to, most.scaled);
+    require_saved("the information of a scale", l.scale_information, 0.0, 1e30);
     check_saved_information(l.information);
     to.loops.push_back(l);
   }

@@ -41,6 +41,12 @@ inline void edge_information(float const (&of_pose)[21], double scale, double (&
   for (int i = 0, at = 0; i < 6; at += 6 - i, ++i) { to[at] += 100; }
 }
 
+inline similarity<double> with_scale(rigid<double> const& T, double scale = 1) {
+  return {T.R, T.t, scale};
+}
+/// The pose of what has a unit of its own.
+inline rigid<double> without_scale(similarity<double> const& T) { return {T.R, T.t}; }
+
 /// A keyframe on the path.
 struct path_keyframe {
   int row = 0;   ///< of the archive
@@ -49,7 +55,8 @@ struct path_keyframe {
   std::int64_t time_ns = 0;
   double path = 0;  ///< length of the way to it, metres
   rigid<double> T_odom_camera = rigid<double>::identity();
-  rigid<double> T_world_camera = rigid<double>::identity();
+  /// Its scale is that of the odometry's unit there.
+  similarity<double> T_world_camera = similarity<double>::identity();
   double information[21] = {};  ///< of the edge from the keyframe before, if that has its map
   int steps = 1;                ///< that the edge takes the place of: each is as uncertain
 };
@@ -58,13 +65,15 @@ struct path_keyframe {
 struct path_loop {
   int from = 0;  ///< index of a keyframe
   int to = 0;    ///< index of a later one
-  rigid<double> T_from_to = rigid<double>::identity();
-  double information[21] = {};
+  similarity<double> T_from_to = similarity<double>::identity();
+  double information[21] = {};   ///< of rotation and translation
+  double scale_information = 0;  ///< of the logarithm of the scale
 };
 
 /// Keyframes in the order of their time, and loops between them. Copies allocate nothing between
 /// two that have reserved as much.
 struct loop_path {
+  bool scaled = false;  ///< the odometry's unit drifts; else all scales are 1
   std::vector<path_keyframe> keyframes;
   std::vector<path_loop> loops;
   std::vector<path_loop> joints;  ///< to other parts, that wait for another one that agrees
@@ -89,21 +98,25 @@ struct loop_path {
   int most_loops() const { return static_cast<int>(loops.capacity()); }  ///< that are reserved
   path_keyframe const& at(int i) const { return keyframes[static_cast<std::size_t>(i)]; }
   /// From the frame of the odometry to the world, as the newest keyframe says.
-  rigid<double> T_world_odom() const {
-    if (keyframes.empty()) { return rigid<double>::identity(); }
+  similarity<double> T_world_odom() const {
+    if (keyframes.empty()) { return similarity<double>::identity(); }
     auto const& k = keyframes.back();
-    return (k.T_world_camera * k.T_odom_camera.inverse()).orthonormalized();
+    return (k.T_world_camera * with_scale(k.T_odom_camera.inverse())).orthonormalized();
   }
 
   /// Whether a loop fits the path: what it corrects is no more than the odometry may have drifted
-  /// since. @param baseline of the rig, metres, which a loop may correct anyway
+  /// since, and as much more as a scale that has drifted explains. @param baseline of the rig,
+  /// metres, which a loop may correct anyway
   bool fits(path_loop const& loop, loop_params const& params, double baseline) const {
     path_keyframe const& from = at(loop.from);
     path_keyframe const& to = at(loop.to);
     if (from.part != to.part) { return false; }
-    rigid<double> const off = to.T_world_camera.inverse() * (from.T_world_camera * loop.T_from_to);
+    auto const off = to.T_world_camera.inverse() * (from.T_world_camera * loop.T_from_to);
     double const way = to.path - from.path;
-    return length(off.t) <= static_cast<double>(params.max_drift) * way + baseline &&
+    double const scaled_by = std::abs(std::log(off.scale));
+    double const drift = static_cast<double>(params.max_drift) + scaled_by;
+    return to.T_world_camera.scale * length(off.t) <= drift * way + baseline &&
+           scaled_by <= static_cast<double>(params.max_scale_drift) &&
            angle(off.R) <= static_cast<double>(params.max_turn) + 0.01 * way;
   }
   /// The newest keyframes of the part of the last one, at most so many.
@@ -116,20 +129,21 @@ struct loop_path {
   /// of its keyframes where they lead to the same: their difference is likely with 8 times the
   /// covariance of either.
   bool agree(path_loop const& a, path_loop const& b) const {
-    rigid<double> const from_a = at(a.from).T_world_camera * a.T_from_to;
-    rigid<double> const from_b = at(b.from).T_world_camera * b.T_from_to *
-                                 at(b.to).T_world_camera.inverse() * at(a.to).T_world_camera;
-    rigid<double> const off = from_a.inverse() * from_b;
-    auto const chi2 = [&off](path_loop const& of) {
+    auto const from_a = at(a.from).T_world_camera * a.T_from_to;
+    auto const from_b = at(b.from).T_world_camera * b.T_from_to *
+                        at(b.to).T_world_camera.inverse() * at(a.to).T_world_camera;
+    auto const off = from_a.inverse() * from_b;
+    double const log_scale = std::log(off.scale);
+    auto const chi2 = [&](path_loop const& of) {
       double e[6];
-      edge_error(off, e);
-      double sum = 0;
+      edge_error(without_scale(off), e);
+      double sum = of.scale_information * log_scale * log_scale;
       for (int i = 0, k = 0; i < 6; ++i) {
         for (int j = i; j < 6; ++j) { sum += (i == j ? 1 : 2) * of.information[k++] * e[i] * e[j]; }
       }
       return sum / 8;
     };
-    constexpr double likely = 22.46;  // 99.9 % of 6 degrees of freedom
+    double const likely = scaled ? 24.32 : 22.46;  // 99.9 % of 7 and 6 degrees of freedom
     return chi2(a) < likely && chi2(b) < likely;
   }
 
@@ -144,7 +158,7 @@ struct loop_path {
     for (path_loop const& other : joints) {
       if (!of_both(other) || other.to == loop.to || !agree(loop, other)) { continue; }
       path_loop const first = other;
-      rigid<double> const moved =
+      auto const moved =
           at(loop.from).T_world_camera * loop.T_from_to * at(loop.to).T_world_camera.inverse();
       for (path_keyframe& k : keyframes) {
         if (k.part != to) { continue; }
@@ -190,46 +204,74 @@ struct loop_path {
   /// gravity their headings and positions. Allocates.
   template <typename Exec>
   void optimize(Exec const& exec) {
-    pose_graph graph;
+    if (scaled) {
+      optimize_as<similarity<double>>(exec);
+    } else {
+      optimize_as<rigid<double>>(exec);
+    }
+  }
+
+private:
+  /// Information of the logarithm of the scale, from a keyframe to the next: it drifts by 1 %.
+  static constexpr double kept_scale = 1e4;
+
+  static void give(similarity<double> const& from, similarity<double>& to) { to = from; }
+  static void give(similarity<double> const& from, rigid<double>& to) { to = without_scale(from); }
+  static void give(rigid<double> const& from, similarity<double>& to) { to = with_scale(from); }
+
+  template <typename Motion, typename Exec>
+  void optimize_as(Exec const& exec) {
+    motion_graph<Motion> graph;
     for (path_keyframe const& k : keyframes) {
-      graph.T_world_pose.push_back(k.T_world_camera.orthonormalized());
+      graph.T_world_pose.emplace_back();
+      give(k.T_world_camera.orthonormalized(), graph.T_world_pose.back());
       graph.fixed.push_back(graph.fixed.empty() ? 1 : 0);
     }
-    auto const add = [&graph](int from, int to, rigid<double> const& T, double const(&W)[21],
-                              double scale) {
-      pose_graph_edge e;
-      e.from = from;
-      e.to = to;
-      e.T_from_to = T.orthonormalized();
-      for (int i = 0; i < 21; ++i) { e.information[i] = scale * W[i]; }
-      graph.edges.push_back(e);
-    };
     for (int i = 1; i < size(); ++i) {
       if (at(i).map != at(i - 1).map) { continue; }
-      add(i - 1, i, at(i - 1).T_odom_camera.inverse() * at(i).T_odom_camera, at(i).information,
-          1.0 / at(i).steps);
+      path_loop step;
+      step.from = i - 1;
+      step.to = i;
+      step.T_from_to = with_scale(at(i - 1).T_odom_camera.inverse() * at(i).T_odom_camera);
+      std::copy(at(i).information, at(i).information + 21, step.information);
+      step.scale_information = kept_scale;
+      graph.edges.push_back(edge_of<Motion>(step, 1.0 / at(i).steps));
     }
     for (path_loop const& l : loops) {
-      add(l.from, l.to, l.T_from_to, l.information, 1);
+      graph.edges.push_back(edge_of<Motion>(l, 1));
       graph.edges.back().kernel = robust_kernel::huber;
-      graph.edges.back().width = 3.5;  // 95 % of 6 degrees of freedom
+      graph.edges.back().width = scaled ? 3.75 : 3.5;  // 95 % of 7 and 6 degrees of freedom
     }
     pose_graph_params params;
     params.gravity = gravity;
     optimize_pose_graph(exec, graph, params);
     for (int i = 0; i < size(); ++i) {
-      keyframes[static_cast<std::size_t>(i)].T_world_camera =
-          graph.T_world_pose[static_cast<std::size_t>(i)];
+      give(graph.T_world_pose[static_cast<std::size_t>(i)],
+           keyframes[static_cast<std::size_t>(i)].T_world_camera);
     }
   }
-
-private:
+  /// @param weight of its information
+  template <typename Motion>
+  static motion_edge<Motion> edge_of(path_loop const& l, double weight) {
+    constexpr int freedom = freedom_of<Motion>;
+    motion_edge<Motion> e;
+    e.from = l.from;
+    e.to = l.to;
+    give(l.T_from_to.orthonormalized(), e.T_from_to);
+    for (int i = 0, from = 0, at = 0; i < freedom; ++i) {
+      for (int j = i; j < freedom; ++j, ++at) {
+        e.information[at] =
+            weight * (j < 6 ? l.information[from++] : (i < 6 ? 0 : l.scale_information));
+      }
+    }
+    return e;
+  }
   /// Loops of keyframes that leave become those of the keyframe that stands for them.
   void move_loops() {
     for (path_loop& l : loops) {
       if (number(l.from) < 0 || number(l.to) < 0) { continue; }
-      l.T_from_to = moved_to(l.from).inverse() * at(l.from).T_odom_camera * l.T_from_to *
-                    at(l.to).T_odom_camera.inverse() * moved_to(l.to);
+      l.T_from_to = with_scale(moved_to(l.from).inverse() * at(l.from).T_odom_camera) *
+                    l.T_from_to * with_scale(at(l.to).T_odom_camera.inverse() * moved_to(l.to));
     }
     for (path_loop& l : loops) {
       l.from = number(l.from);

@@ -320,8 +320,9 @@ public:
   }
 
   /// Makes camera b one that was lost in the map that it has. Waits, and allocates.
+  /// @param anywhere a frame that is not found at once begins a map, which is joined with it
   /// @return its state
-  tracking_state enter_loaded_map(Exec const& exec, int b) const {
+  tracking_state enter_loaded_map(Exec const& exec, int b, bool anywhere) const {
     keyframes_view const& k = own.map.keyframes;
     int const made = downloaded(exec, k.made + b, 1)[0];
     camera_track const before = downloaded(exec, own.state.tracks + b, 1)[0];
@@ -334,6 +335,12 @@ public:
       *T_cw.data() = downloaded(exec, k.T_cw + k.at(b, k.position(made)), 1)[0];
       t.data()->state = tracking_state::recovering;
       t.data()->lost_frames = 1;
+      // The places to try repeat after so many frames: the first one is that of the newest
+      // keyframe.
+      constexpr int places = 60;
+      if (anywhere) {
+        t.data()->lost_with_features = ceil_div(settings.rules.patience, places) * places;
+      }
       t.data()->keyframe = t.data()->predicted = *T_cw.data();
       t.data()->maps = 1;
       t.data()->keyframes = made;

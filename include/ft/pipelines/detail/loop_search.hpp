@@ -1,0 +1,222 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Looks for the loops of the newest keyframe of a path.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "ft/cameras/monocular_rig.hpp"
+#include "ft/containers/loop_archive.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/cuda_handles.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/core/memory.hpp"
+#include "ft/kernels/loops/match_keyframes.hpp"
+#include "ft/pipelines/detail/loop_path.hpp"
+#include "ft/types/loops.hpp"
+#include "ft/types/poses.hpp"
+#include "ft/types/relocalization.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+namespace detail {
+
+/// Where the search for loops runs: on threads that are given, or on a stream.
+template <typename Exec>
+struct loop_executor {
+  Exec const& on(host_exec const& threads) const { return threads; }
+  static host_exec threads_of(Exec const& exec) { return exec; }
+};
+#if defined(__CUDACC__)
+template <>
+struct loop_executor<cuda_exec> {
+  loop_executor() : exec(own.get()) { throw_on_error(cudaGetDevice(&device), "cudaGetDevice"); }
+  cuda_exec const& on(host_exec const&) const {
+    throw_on_error(cudaSetDevice(device), "cudaSetDevice");
+    return exec;
+  }
+  static host_exec threads_of(cuda_exec const&) { return host_exec(1); }
+  stream own;
+  cuda_exec exec;
+  int device = 0;
+};
+#endif
+
+/// Looks for loops of the newest keyframe of a path, and corrects the path.
+template <typename Exec, typename Rig>
+struct loop_search {
+  Rig rig;
+  loop_params params;
+  pose_params pose_settings;
+  loop_archive_view archive;
+  std::unique_ptr<loop_executor<Exec>> where = std::make_unique<loop_executor<Exec>>();
+  loop_path path;           ///< in and out
+  bool joins_only = false;  ///< looks for keyframes of other parts alone
+  int closed = 0;           ///< loops that the last run added
+  struct memory {
+    int* rows = nullptr;   ///< [keyframes]
+    int* votes = nullptr;  ///< [keyframes]
+    loop_workspace work;
+    loop_match* found = nullptr;  ///< [3 groups]
+  };
+  struct staging {
+    int* rows = nullptr;
+    int* votes = nullptr;
+    loop_match* found = nullptr;
+  };
+  owner<memory, Exec::space> memory_;
+  owner<staging, staging_space<Exec>> staging_;
+
+  loop_search(Rig const& of, loop_params const& with, pose_params const& pose_of,
+              loop_archive_view const& in)
+      : rig(of), params(with), pose_settings(pose_of), archive(in) {
+    int const most = 3 * params.groups;
+    memory_ = owner<memory, Exec::space>([&](carver& c, memory& m) {
+      c.place({archive.rows}, m.rows, m.votes);
+      carve(c, m.work, most, archive.points);
+      c.place({most}, m.found);
+    });
+    staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
+      c.place({archive.rows}, s.rows, s.votes);
+      c.place({most}, s.found);
+    });
+    path.reserve(archive.rows, params.groups);
+  }
+
+  /// Called on a thread of its own.
+  void enqueue(host_exec const& threads, int) {
+    closed = 0;
+    Exec const& exec = where->on(threads);
+    int const candidates = vote(exec);
+    if (candidates == 0) { return; }
+    for (auto const& group : choose(candidates)) { close(exec, group); }
+    if (closed > 0) { path.optimize(threads); }
+  }
+
+private:
+  int query() const { return path.size() - 1; }
+
+  /// Votes for the keyframes that are not among the newest ones of their part. @return their number
+  int vote(Exec const& exec) {
+    memory const& m = memory_.view();
+    staging const& s = staging_.view();
+    int const n = path.size() - path.newest(joins_only ? path.size() : params.recent);
+    if (n <= 0) { return 0; }
+    for (int i = 0; i < n; ++i) { s.rows[i] = path.at(i).row; }
+    auto const count = static_cast<std::size_t>(n);
+    copy(exec, m.rows, static_cast<int const*>(s.rows), count);
+    vote_for_rows(exec, archive, {path.at(query()).row, m.rows, n}, params.votes, m.votes);
+    copy(exec, s.votes, static_cast<int const*>(m.votes), count);
+    exec.wait();
+    return n;
+  }
+
+  /// The keyframes with most votes together with their neighbours; the first one of equals.
+  std::vector<std::vector<int>> choose(int n) const {
+    int const* const votes = staging_->votes;
+    std::vector<int> sums(static_cast<std::size_t>(n));
+    for (int i = 0; i < n; ++i) {
+      if (votes[i] < params.min_votes) { continue; }
+      for (int const k : neighbours(i, n)) { sums[static_cast<std::size_t>(i)] += votes[k]; }
+    }
+    std::vector<std::vector<int>> groups;
+    while (static_cast<int>(groups.size()) < params.groups) {
+      auto const most = std::max_element(sums.begin(), sums.end());
+      if (*most == 0) { break; }
+      int const i = static_cast<int>(most - sums.begin());
+      groups.push_back(neighbours(i, n));
+      for (int k = std::max(i - 2, 0); k <= std::min(i + 2, n - 1); ++k) {
+        sums[static_cast<std::size_t>(k)] = 0;
+      }
+    }
+    return groups;
+  }
+
+  /// Keyframe i of the first n and those beside it that are of its part.
+  std::vector<int> neighbours(int i, int n) const {
+    std::vector<int> all;
+    for (int k = std::max(i - 1, 0); k <= std::min(i + 1, n - 1); ++k) {
+      if (path.at(k).part == path.at(i).part) { all.push_back(k); }
+    }
+    return all;
+  }
+
+  /// Adds the loops to a group of keyframes that two of them agree on.
+  void close(Exec const& exec, std::vector<int> const& group) {
+    memory const& m = memory_.view();
+    staging const& s = staging_.view();
+    int const n = static_cast<int>(group.size());
+    for (int i = 0; i < n; ++i) { s.rows[i] = path.at(group[static_cast<std::size_t>(i)]).row; }
+    copy(exec, m.rows, static_cast<int const*>(s.rows), group.size());
+    match_keyframes(exec, rig, archive, {path.at(query()).row, m.rows, n},
+                    static_cast<std::uint64_t>(path.at(query()).time_ns), pose_settings, m.work,
+                    m.found);
+    copy(exec, s.found, static_cast<loop_match const*>(m.found), group.size());
+    exec.wait();
+    std::vector<path_loop> loops;
+    std::vector<int> inliers;
+    for (int i = 0; i < n; ++i) {
+      loop_match const& found = s.found[i];
+      if (found.inliers < params.min_inliers ||
+          static_cast<float>(found.inliers) <
+              params.min_share * static_cast<float>(found.matches)) {
+        continue;
+      }
+      path_loop loop;
+      loop.from = group[static_cast<std::size_t>(i)];
+      loop.to = query();
+      loop.T_from_to = with_scale(found.T_query_row.inverse().orthonormalized());
+      edge_information(found.information, 0.5, loop.information);  // the points are as uncertain
+      if (path.scaled) { set_scale(found, loop); }
+      bool const joins = path.at(loop.from).part != path.at(loop.to).part;
+      if (joins || path.fits(loop, params, baseline())) {
+        loops.push_back(loop);
+        inliers.push_back(found.inliers);
+      }
+    }
+    path_loop const* const best = best_agreed(loops, inliers);
+    if (best == nullptr) { return; }
+    if (path.at(best->from).part == path.at(query()).part) {
+      path.loops.push_back(*best);
+      ++closed;
+    } else {
+      closed += path.join(*best);
+    }
+  }
+  /// The scale of a loop, and its information in units of the keyframe that it leads to.
+  static void set_scale(loop_match const& found, path_loop& loop) {
+    loop.T_from_to.scale = 1 / found.scale;
+    for (int i = 0, at = 0; i < 6; ++i) {
+      for (int j = i; j < 6; ++j, ++at) {
+        loop.information[at] *= (i < 3 ? loop.T_from_to.scale : 1.0);
+        loop.information[at] *= (j < 3 ? loop.T_from_to.scale : 1.0);
+      }
+    }
+    loop.scale_information = 0.5 / (found.scale_sigma * found.scale_sigma);
+  }
+  /// Metres; one camera has none.
+  double baseline() const {
+    return is_monocular_v<Rig> ? 0.0 : static_cast<double>(rig.baseline_length().value);
+  }
+  /// Of the loops that another one agrees with, that of most inliers; null if there is none.
+  path_loop const* best_agreed(std::vector<path_loop> const& loops,
+                               std::vector<int> const& inliers) const {
+    std::size_t best = loops.size();
+    for (std::size_t a = 0; a < loops.size(); ++a) {
+      bool agreed = false;
+      for (std::size_t b = 0; b < loops.size(); ++b) {
+        agreed = agreed || (a != b && path.agree(loops[a], loops[b]));
+      }
+      if (agreed && (best == loops.size() || inliers[a] > inliers[best])) { best = a; }
+    }
+    return best < loops.size() ? &loops[best] : nullptr;
+  }
+};
+
+}  // namespace detail
+}  // namespace FT_ABI
+}  // namespace ft

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: Apache-2.0
+// An odometry with loops for many laps: to and fro before a wall, with a map that forgets on the
+// way, and a limit of keyframes that is reached again and again. Loops must be found to the end;
+// the error of a lap, the memory and, of 6000 frames and more, the processor's time of a frame must
+// not grow.
+//
+//     loops_soak [FRAMES]
+//
+// On a GPU where nvcc compiles it (-x cu), else on the host's threads. Nothing but ft is needed.
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <ctime>
+#include <exception>
+#include <stdexcept>
+#include <vector>
+
+#include "ft/pipelines/odometry.hpp"
+#include "tests/end_to_end/soak_scene.hpp"
+#include "tests/support/process_memory.hpp"
+
+namespace loops_soak {
+
+using namespace soak_scene;
+
+constexpr int lap = 200;  ///< frames to and fro
+constexpr std::int64_t period = 50'000'000;
+
+ft::odometry_params params() {
+  ft::odometry_params p;
+  p.orb.width = width;
+  p.orb.height = height;
+  p.orb.features = 400;
+  p.orb.levels = 6;
+  p.map_slots = 1500;
+  p.local_points = 1024;
+  p.keyframes = 8;
+  p.window_points = 1024;
+  p.window = {4, 2};
+  p.local_map.keyframes = 6;
+  p.loops.present = true;
+  p.loops.keyframes = 128;
+  p.loops.recent = 8;
+  return p;
+}
+
+/// Metres to the right of the start.
+double place(int frame) { return 2.5 * (1 - std::cos(frame * 6.283185307 / lap)); }
+
+/// What a lap was like.
+struct lap_facts {
+  double square = 0;  ///< mean of squared errors as each frame told its pose, m^2
+  int tracked = 0, loops = 0;
+  double cpu_ms = 0;   ///< of a frame, mean
+  double wall_ms = 0;  ///< of a frame, median
+};
+
+/// Means of the laps of a part of the run.
+struct part_facts {
+  double error_m = 0, cpu_ms = 0, wall_ms = 0;
+  int loops = 0;
+
+  explicit part_facts(std::vector<lap_facts> const& laps, std::size_t from, std::size_t to) {
+    double square = 0;
+    for (std::size_t i = from; i < to; ++i) {
+      square += laps[i].square;
+      cpu_ms += laps[i].cpu_ms;
+      wall_ms += laps[i].wall_ms;
+      loops += laps[i].loops;
+    }
+    auto const n = static_cast<double>(to - from);
+    error_m = std::sqrt(square / n);
+    cpu_ms /= n;
+    wall_ms /= n;
+  }
+  void print(char const* name) const {
+    std::printf("%s: error %.4f m, %d loops, a frame %.2f ms (median), processor %.2f ms\n", name,
+                error_m, loops, wall_ms, cpu_ms);
+  }
+};
+
+double cpu_now_ms() { return 1e3 * static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
+
+template <typename Odometry>
+lap_facts go_round(Odometry& odometry, std::vector<image> const& left,
+                   std::vector<image> const& right, std::int64_t& time) {
+  auto const view = [](image const& i) { return ft::gray_view{i.data(), width, height, width}; };
+  lap_facts facts;
+  std::vector<double> ms;
+  double const begin = cpu_now_ms();
+  for (int f = 0; f < lap; ++f) {
+    auto const i = static_cast<std::size_t>(std::min(f, lap - f));  // the way back: the same images
+    auto const start = std::chrono::steady_clock::now();
+    ft::tracking const t = odometry.track({view(left[i]), view(right[i])}, time += period);
+    ms.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start)
+                     .count());
+    auto const& p = t.T_world_camera.t;
+    double const error = std::hypot(p.x - place(f), p.y, p.z);
+    facts.square += error * error / lap;
+    facts.tracked += static_cast<int>(t.state == ft::tracking_state::tracking);
+    facts.loops += t.loops_closed;
+  }
+  facts.cpu_ms = (cpu_now_ms() - begin) / lap;
+  std::nth_element(ms.begin(), ms.begin() + lap / 2, ms.end());
+  facts.wall_ms = ms[lap / 2];
+  return facts;
+}
+
+/// @return whether all is as it must be
+template <typename Exec>
+bool run(Exec const& exec, int frames) {
+  std::vector<image> left, right;
+  for (int i = 0; i <= lap / 2; ++i) {
+    left.push_back(render(place(i), 0));
+    right.push_back(render(place(i) + 0.2, 0));
+  }
+  ft::odometry<Exec> odometry(exec, rig(), params(), 1, ft::loops{});
+  std::vector<lap_facts> laps;
+  std::int64_t time = 0;
+  test::usage warm;
+  int tracked = 0;
+  for (int n = 0; n < frames / lap; ++n) {
+    laps.push_back(go_round(odometry, left, right, time));
+    tracked += laps.back().tracked;
+    if (odometry.placed_keyframes().size() > 128 + 64) {
+      throw std::runtime_error("too many keyframes are kept");
+    }
+    if (n == frames / lap / 2) { warm = test::measure(); }
+  }
+  test::usage const end = test::measure();
+  std::size_t const quarter = laps.size() / 4;
+  part_facts const second(laps, quarter, 2 * quarter);
+  part_facts const last(laps, laps.size() - quarter, laps.size());
+  second.print("second quarter");
+  last.print("last quarter  ");
+  bool const flat = end.resident - warm.resident <= 8 << 20 && end.heap - warm.heap <= 1 << 20 &&
+                    end.device - warm.device <= 2 << 20;
+  std::printf(
+      "%d frames, %d tracked; growth of the second half, KiB: resident %lld, heap %lld, "
+      "device %lld: %s\n",
+      frames, tracked, (end.resident - warm.resident) / 1024, (end.heap - warm.heap) / 1024,
+      (end.device - warm.device) / 1024, flat ? "flat" : "MEMORY GROWS");
+  // In a short run the limit of keyframes is not reached before the second quarter.
+  bool const steady = frames < 6000 || last.cpu_ms < 1.3 * second.cpu_ms;
+  if (!steady) { std::printf("FRAMES TAKE LONGER\n"); }
+  return flat && steady && tracked == frames / lap * lap && last.loops > 0 && last.error_m < 0.05;
+}
+
+}  // namespace loops_soak
+
+int main(int argc, char** argv) {
+  try {
+    int const frames = argc > 1 ? std::atoi(argv[1]) : 1600;
+    if (frames < 8 * loops_soak::lap) { throw std::runtime_error("1600 frames or more"); }
+    return soak_scene::on_backend([&](auto const& exec) {
+      return loops_soak::run(exec, frames) ? EXIT_SUCCESS : EXIT_FAILURE;
+    });
+  } catch (std::exception const& e) {
+    std::fprintf(stderr, "loops_soak: %s\n", e.what());
+    return EXIT_FAILURE;
+  }
+}

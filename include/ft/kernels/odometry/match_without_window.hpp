@@ -29,6 +29,7 @@ struct pose_proposal {
   int support;          ///< of these, how many agree with it
   int first_support;    ///< and how many with the pose of the search from the last frame
   int adopted;          ///< 1 = the frame goes on from it
+  int first_cost;       ///< sum of the errors with the pose of the search from the last frame
   int camera;           ///< whose matches these are
   float search_factor;  ///< on the search radius around it
 };

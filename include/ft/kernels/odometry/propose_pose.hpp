@@ -57,6 +57,7 @@ struct propose_pose {
     out.camera = camera;
     out.support = support;
     out.first_support = first_support;
+    out.first_cost = first;
     // A lost camera has no other pose to go on from.
     bool const better =
         t.lost_frames > 0 || 10.0f * static_cast<float>(cost) < 9.0f * static_cast<float>(first);

@@ -42,7 +42,9 @@ struct refine_proposal {
                                  odometry_state_view const& state,
                                  windowless_workspace const& work) const {
     pose_proposal& out = work.proposals[b];
-    if (out.adopted == 0) { return; }
+    bool const wanted = out.support >= rules.min_support;
+    g.sync();
+    if (!wanted) { return; }
     std::ptrdiff_t const first = static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
     observation* const list = work.matches + first;
     proposal_refinement& to = work.refined[b];
@@ -58,6 +60,9 @@ struct refine_proposal {
     int support = 0, drawn_support = 0;
     int const cost = cost_of_pose(g, matches, T_cw.template cast<double>(), support);
     bool const better = cost <= cost_of_pose(g, matches, out.T_cw, drawn_support);
+    // Matches that have left count as if none agreed.
+    constexpr int limit = seen_matches<Rig>::limit;
+    bool const gains = better && cost + limit * (out.matches - n) + least_gain < out.first_cost;
     if (g.rank() == 0) { s.known = better && invert_6(to.information, s.covariance); }
     g.sync();
     float const factor =
@@ -65,6 +70,7 @@ struct refine_proposal {
                                 anchors::of(in, state.tracks[b], b), in.map.points.slice(b))
                 : rules.matched_search;
     if (g.rank() != 0) { return; }
+    if (gains) { out.adopted = 1; }
     out.search_factor = min_of(factor, rules.matched_search);
     if (better) {
       out.T_cw = T_cw.template cast<double>();
@@ -73,6 +79,10 @@ struct refine_proposal {
   }
 
 private:
+  /// Of two poses that are both right, errors differ by a chi-square of six degrees of freedom:
+  /// this much, in eighths, once in a thousand times.
+  static constexpr int least_gain = 8 * 23;
+
   /// Moves the matches that agree with a pose of the body to the front, in their order.
   /// @return their number
   template <typename Group>
@@ -168,11 +178,13 @@ private:
 
 }  // namespace detail
 
-/// Improves adopted proposals of propose_poses(), each by all of the frame's matches that agree
-/// with it: a pose from three matches sees points several pixels off, and so wide a search finds a
-/// wrong keypoint for every second one. The search around it is as wide as its covariance asks for,
-/// with an error of one pixel a match. If the optimised pose agrees worse, the proposal stays, with
-/// `rules.matched_search`. Asynchronous on `exec`; allocates nothing; one launch.
+/// Improves proposals of propose_poses(), each by all of the frame's matches that agree with it: a
+/// pose from three matches sees points several pixels off, and so wide a search finds a wrong
+/// keypoint for every second one. The search around it is as wide as its covariance asks for, with
+/// an error of one pixel a match. If the optimised pose agrees worse, the proposal stays, with
+/// `rules.matched_search`. A proposal that was not adopted is now, if the pose of the search from
+/// the last frame, were it right, would agree so much worse with the matches once in a thousand
+/// times. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void refine_proposals(Exec const& exec, windowless_search<Rig> const& in,
                       tracking_rules const& rules, odometry_state_view const& state,

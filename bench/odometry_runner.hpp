@@ -93,6 +93,9 @@ public:
     for (auto const& t : odometry_.stage_times()) { all.push_back({t.name, t.us}); }
     return all;
   }
+  double memory_bytes() const override {
+    return static_cast<double>(odometry_.memory_bytes().executor);
+  }
 
 private:
   ft::tracking const* track_prefetched() {

@@ -111,11 +111,35 @@ void print_memory(context const& c, scene const& s) {
   }
 }
 
+/// What an odometry of one pair takes of a device once it has tracked: also for CUDA's graphs, and
+/// for the local memory of its kernels, which CUDA keeps.
+void print_device_memory(context const& c, scene const& s) {
+  constexpr double mib = 1 << 20;
+  double const before = device_bytes_in_use();
+  std::printf("\nMemory of a device, of an odometry of one rectified pair, MiB\n");
+  for (bool const imu : {false, true}) {
+    frame_options o;
+    o.backend = backend_type::cuda;
+    o.imu = imu;
+    auto const runner = make_odometry_runner(s, o);
+    for (int i = 0; i < 2 * static_cast<int>(s.frames.size()); ++i) {
+      runner->prepare(i);
+      runner->track();
+    }
+    double const taken = (device_bytes_in_use() - before) / mib;
+    double const told = runner->memory_bytes() / mib;
+    char const* const what = imu ? "with IMU" : "rectified";
+    std::printf("%-12s %9.1f, of them told by memory_bytes() %9.1f\n", what, taken, told);
+    (*c.out)["device_memory"].push_back({{"name", what}, {"mib", taken}, {"told_mib", told}});
+  }
+}
+
 }  // namespace
 
 void odometry_section(context const& c, backend_type b) {
   bool const cuda = b == backend_type::cuda;
   scene const& s = c.all_scenes->get(rig_type::rectified);
+  if (cuda) { print_device_memory(c, make_imu_scene(c)); }
   std::printf(
       "\nOdometry of rectified pairs and of two such pairs in one rig, %dx%d, %d features an "
       "image, each with its own map\n",

@@ -38,6 +38,7 @@ std::unique_ptr<words_runner> make_cuda_words(words_case const&) { no_cuda(); }
 std::string cuda_description() { return {}; }
 int cuda_devices() { return 0; }
 void use_cuda_device(int) { no_cuda(); }
+double device_bytes_in_use() { no_cuda(); }
 #endif
 
 std::unique_ptr<frame_runner> make_frame_runner(scene const& s, frame_options const& how) {

@@ -160,7 +160,12 @@ public:
   virtual odometry_counts last() const = 0;
   /// Time of each stage of the last frame, in order. Needs frame_options::measure_stages.
   virtual std::vector<stage_us> stage_times() const = 0;
+  /// Of the executor, as the odometry tells.
+  virtual double memory_bytes() const = 0;
 };
+
+/// Bytes of the current device that are in use: by programs, contexts and the driver.
+double device_bytes_in_use();
 
 /// Memory of an odometry of one camera pair, by what it is for.
 struct odometry_memory_row {

@@ -324,14 +324,15 @@ def scenario_rows():
 
 def beside_cuvslam():
     """Of bench/peers/beside_cuvslam.py."""
-    result = load("beside_cuvslam_h200.json")
+    records = json.loads((RESULTS / "beside_cuvslam_h200.json").read_text())["records"]
+    commits = " and ".join(r["commit"] for r in records)
     lines = [
-        f"{result['gpu']}; {result['date']}, commit {result['commit']}.",
+        f"{records[0]['machine']['gpu']}; {records[-1]['date']}, commits {commits}.",
         "",
         "| frames | of them every | ATE, mm: ft | cuVSLAM, 3 runs | adjusting within frames | ms: ft p50, p99 | cuVSLAM |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
-    for r in result["rows"]:
+    for r in [row for record in records for row in record["tables"]["rows"]]:
         name = r["recording"] + (f", seed {r['seed']}" if "seed" in r else "")
         runs = [1000 * v for v in r["cuvslam.ate_m"]]
         least, most = f"{runs[0]:.1f}", f"{runs[-1]:.1f}"

@@ -34,6 +34,11 @@ struct tracked_values {
   int level, level_right;
   float x, y, depth, cosine, right_x, right_y, depth_right, cosine_right;
 
+  template <typename Self>
+  static auto members(Self& t) {  // before its uses: clang deduces the type there
+    return std::tie(t.in_view, t.in_view_right, t.level, t.level_right, t.x, t.y, t.depth, t.cosine,
+                    t.right_x, t.right_y, t.depth_right, t.cosine_right);
+  }
   template <typename MapPoint>
   explicit tracked_values(MapPoint const& p) {
     members(*this) = tracked_members(p);
@@ -61,13 +66,6 @@ struct tracked_values {
       to.add("right distance of point", at, depth_right, allowed.depth);
       to.add("right cosine of point", at, cosine_right, allowed.cosine);
     }
-  }
-
-private:
-  template <typename Self>
-  static auto members(Self& t) {
-    return std::tie(t.in_view, t.in_view_right, t.level, t.level_right, t.x, t.y, t.depth, t.cosine,
-                    t.right_x, t.right_y, t.depth_right, t.cosine_right);
   }
 };
 

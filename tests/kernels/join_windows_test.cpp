@@ -57,11 +57,19 @@ struct calls_by {
   Group g;
   ft::detail::initialization_scratch& s;
   FT_HOST_DEVICE ft::inertial_initialization initialize(ft::initialization_window const& w) const {
-    return ft::detail::initialize_window_by(g, s, w, {}, nullptr);
+    ft::detail::initialize_window_by(g, s, w, {}, nullptr, s.found);
+    return s.found;
   }
   FT_HOST_DEVICE bool join(ft::initialization_window const& w, ft::joined_windows& sum,
                            ft::inertial_initialization& found) const {
-    return ft::detail::join_window_by(g, s, w, {}, 0.98f, sum, found);
+    g.sync();
+    if (g.rank() == 0) { s.found = found; }
+    g.sync();
+    bool const joined = ft::detail::join_window_by(g, s, w, {}, ft::detail::without_bias_prior({}),
+                                                   0.98f, sum, s.found);
+    found = s.found;
+    g.sync();
+    return joined;
   }
 };
 

@@ -80,15 +80,18 @@ FT_HOST_DEVICE inline real64 component(strict_vec3d v, int i) {
 }
 FT_HOST_DEVICE inline real64 norm_of(strict_vec3d v) { return scalar::sqrt(dot(v, v)); }
 
-/// A least-squares problem of up to N unknowns as normal equations, solved as L D L^T. All threads
-/// of a group make the same calls; an entry belongs to one of them, so that it is a sum in the
-/// order of the calls.
+/// A least-squares problem of up to N unknowns as normal equations, solved as L D L^T, in memory
+/// that a group shares. All its threads make the same calls; an entry belongs to one of them, so
+/// that it is a sum in the order of the calls. Rows and solutions are here, too: threads that index
+/// arrays of their own keep them in local memory, of which a device sets aside that of all its
+/// threads.
 template <int N>
 struct least_squares {
   int unknowns;
   int solvable;
   real64 A[N * N];  ///< lower triangle; after factor() L below D
   real64 b[N];
+  real64 x[N];  ///< of solve()
 
   /// Ends with a sync.
   template <typename Group>
@@ -99,8 +102,9 @@ struct least_squares {
     g.sync();
   }
   /// row . x = right, with a weight. What follows reads it after a sync.
-  template <typename Group>
-  FT_HOST_DEVICE void add(Group g, real64 const (&row)[N], real64 right, real64 weight) {
+  /// @param row row(i) is the factor of unknown i
+  template <typename Group, typename Row>
+  FT_HOST_DEVICE void add(Group g, Row const& row, real64 right, real64 weight) {
     // Where there are more threads than columns, several share a column.
     static_assert(Group::max_threads == 1 || Group::max_threads % 16 == 0, "shared evenly");
     int const columns = min_of(g.size(), 16);
@@ -108,11 +112,11 @@ struct least_squares {
     int const first = g.rank() / columns;
     for (int j = g.rank() % columns; j <= unknowns; j += columns) {
       if (j == unknowns) {
-        for (int i = first; i < unknowns; i += sharers) { b[i] += weight * row[i] * right; }
+        for (int i = first; i < unknowns; i += sharers) { b[i] += weight * row(i) * right; }
         continue;
       }
-      real64 const own = row[j];
-      for (int i = j + first; i < unknowns; i += sharers) { A[N * i + j] += weight * row[i] * own; }
+      real64 const own = row(j);
+      for (int i = j + first; i < unknowns; i += sharers) { A[N * i + j] += weight * row(i) * own; }
     }
   }
   /// x_i = 0, with a weight. What follows reads it after a sync.
@@ -149,24 +153,29 @@ struct least_squares {
     }
     return true;
   }
-  /// Each thread for itself. @pre factor() was true
-  FT_HOST_DEVICE void solve(real64 (&x)[N]) const {
+  /// The solution into `x`, by one thread. @pre factor() was true
+  FT_HOST_DEVICE void solve() {
+    for (int i = 0; i < unknowns; ++i) { x[i] = b[i]; }
+    substitute(x);
+  }
+  /// row . A^-1 . row, the variance of row . x, by one thread. @param work is overwritten
+  FT_HOST_DEVICE real64 variance(real64 const (&row)[N], real64 (&work)[N]) const {
+    for (int i = 0; i < N; ++i) { work[i] = row[i]; }
+    substitute(work);
+    real64 sum = 0.0;
+    for (int i = 0; i < unknowns; ++i) { sum += row[i] * work[i]; }
+    return sum;
+  }
+
+private:
+  FT_HOST_DEVICE void substitute(real64 (&v)[N]) const {
     for (int i = 0; i < unknowns; ++i) {
-      for (int k = 0; k < i; ++k) { x[i] -= A[N * i + k] * x[k]; }
+      for (int k = 0; k < i; ++k) { v[i] -= A[N * i + k] * v[k]; }
     }
     for (int i = unknowns - 1; i >= 0; --i) {
-      x[i] = x[i] / A[N * i + i];
-      for (int k = i + 1; k < unknowns; ++k) { x[i] -= A[N * k + i] * x[k]; }
+      v[i] = v[i] / A[N * i + i];
+      for (int k = i + 1; k < unknowns; ++k) { v[i] -= A[N * k + i] * v[k]; }
     }
-  }
-  /// row . A^-1 . row, the variance of row . x.
-  FT_HOST_DEVICE real64 variance(real64 const (&row)[N]) const {
-    real64 x[N];
-    for (int i = 0; i < N; ++i) { x[i] = row[i]; }
-    solve(x);
-    real64 sum = 0.0;
-    for (int i = 0; i < unknowns; ++i) { sum += row[i] * x[i]; }
-    return sum;
   }
 };
 

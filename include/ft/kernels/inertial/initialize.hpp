@@ -38,37 +38,52 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// initialize_window() by a group, whose threads all get the same result.
+/// How certain a solved system is. A thread's part.
 template <typename Group>
-FT_HOST_DEVICE inertial_initialization initialize_window_by(Group g, initialization_scratch& s,
-                                                            initialization_window const& window,
-                                                            initialization_params const& params,
-                                                            vec3<double>* velocities) {
-  inertial_initialization out{};
-  out.R_up = out.newest.R = mat3<double>::identity();
-  out.scale = 1;
-  inertial_initializer<Group> work(g, s, window, params);
-  out.status = work.check_input();
-  if (out.status != initialization_status::initialized) { return out; }
-  work.find_rest();
-  strict_double squares = 0.0;
-  if (!work.find_gyro_bias(out) || !work.solve(squares)) {
-    out.status = initialization_status::little_motion;
-    return out;
-  }
-  auto const joined = describe_state(work, out, velocities);
-  describe_certainty(work, squares, joined, out);
+FT_HOST_DEVICE void judge_window(inertial_initializer<Group> const& work,
+                                 inertial_initialization& out) {
+  initialization_params const& params = work.params;
+  describe_certainty(work, out);
   // written so that a NaN fails
   bool const certain =
       out.gyro_bias_sigma <= params.max_gyro_sigma && out.tilt_sigma <= params.max_tilt_sigma &&
       out.velocity_sigma <= params.max_velocity_sigma && out.scale_sigma <= params.max_scale_sigma;
   bool const consistent =
       out.position_rms <= params.max_position_rms && out.rotation_rms <= params.max_rotation_rms;
-  out.status = !consistent    ? initialization_status::inconsistent
-               : !certain     ? initialization_status::little_motion
-               : work.resting ? initialization_status::at_rest
-                              : initialization_status::initialized;
-  return out;
+  out.status = !consistent           ? initialization_status::inconsistent
+               : !certain            ? initialization_status::little_motion
+               : work.s.resting != 0 ? initialization_status::at_rest
+                                     : initialization_status::initialized;
+}
+
+/// initialize_window() by a group. Ends with a sync.
+/// @param out in memory that its threads share
+template <typename Group>
+FT_HOST_DEVICE void initialize_window_by(Group g, initialization_scratch& s,
+                                         initialization_window const& window,
+                                         initialization_params const& params,
+                                         vec3<double>* velocities, inertial_initialization& out) {
+  inertial_initializer<Group> work(g, s, window, params);
+  initialization_status const given = work.check_input();
+  if (g.rank() == 0) {
+    out = {};
+    out.R_up = out.newest.R = mat3<double>::identity();
+    out.scale = 1;
+    out.status = given;
+  }
+  g.sync();
+  if (given != initialization_status::initialized) { return; }
+  work.find_rest();
+  bool const solved = work.find_gyro_bias(out) && work.solve();
+  if (solved) { find_variances(work, describe_state(work, out, velocities)); }
+  if (g.rank() == 0) {
+    if (solved) {
+      judge_window(work, out);
+    } else {
+      out.status = initialization_status::little_motion;
+    }
+  }
+  g.sync();
 }
 
 }  // namespace detail
@@ -83,7 +98,8 @@ FT_HOST_DEVICE inline inertial_initialization initialize_window(
     initialization_window const& window, initialization_params const& params,
     vec3<double>* velocities = nullptr) {
   detail::initialization_scratch scratch;
-  return detail::initialize_window_by(single_group{}, scratch, window, params, velocities);
+  detail::initialize_window_by(single_group{}, scratch, window, params, velocities, scratch.found);
+  return scratch.found;
 }
 
 namespace detail {
@@ -99,9 +115,8 @@ struct initialize_each {
     auto const first = static_cast<std::ptrdiff_t>(b) * windows.capacity;
     initialization_window const window{windows.T_wc + first, windows.integrals + first,
                                        min_of(windows.counts[b], windows.capacity), windows.mount};
-    auto const found = initialize_window_by(g, s, window, params,
-                                            velocities == nullptr ? nullptr : velocities + first);
-    if (g.rank() == 0) { results[b] = found; }
+    initialize_window_by(g, s, window, params, velocities == nullptr ? nullptr : velocities + first,
+                         results[b]);
   }
 };
 

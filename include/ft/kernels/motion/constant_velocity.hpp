@@ -107,12 +107,17 @@ public:
   /// points or directions that are degenerate, or not finite.
   FT_HOST_DEVICE three_point_poses solve() const {
     three_point_poses out;
-    pencil const p = degenerate_form();
-    if (!(p.ratio >= real(0))) { return out; }  // also NaN
-    real const root = scalar::sqrt(p.ratio);
-    add_poses(p, root, out);
-    add_poses(p, -root, out);
+    for_each_pose([&](rigid<real> const& T_cw) { out.T_cw[out.count++] = T_cw; });
     return out;
+  }
+  /// visit(T_cw) of each. Room for all of them were local memory on a device.
+  template <typename Visit>
+  FT_HOST_DEVICE void for_each_pose(Visit const& visit) const {
+    pencil const p = degenerate_form();
+    if (!(p.ratio >= real(0))) { return; }  // also NaN
+    real root = scalar::sqrt(p.ratio);
+    FT_NO_UNROLL
+    for (int plane = 0; plane < 2; ++plane, root = -root) { find_poses(p, root, visit); }
   }
 
 private:
@@ -185,8 +190,9 @@ private:
     return {vector_of(e1), vector_of(e2), ratio < real(0) ? real(0) : ratio};
   }
 
-  /// Adds the poses of one of the two planes.
-  FT_HOST_DEVICE void add_poses(pencil const& p, real s, three_point_poses& out) const {
+  /// The poses of one of the two planes.
+  template <typename Visit>
+  FT_HOST_DEVICE void find_poses(pencil const& p, real s, Visit const& visit) const {
     real const w2 = real(1) / (s * p.second.x - p.first.x);
     real const w0 = (p.first.y - s * p.second.y) * w2;
     real const w1 = (p.first.z - s * p.second.z) * w2;
@@ -195,16 +201,16 @@ private:
     real const c = ((a13_ - a12_) * w0 * w0 + a13_ * b12_ * w0 + a13_) * a;
     real const under = b * b - real(4) * c;
     if (!(under >= real(0))) { return; }
-    real const root = scalar::sqrt(under);
-    real const taus[2] = {(-b + root) * real(0.5), (-b - root) * real(0.5)};
-    for (real const tau : taus) {
+    real root = scalar::sqrt(under);
+    FT_NO_UNROLL
+    for (int k = 0; k < 2; ++k, root = -root) {
+      real const tau = (-b + root) * real(0.5);
       if (!(tau > real(0))) { continue; }
       real const d = a23_ / (tau * (b23_ + tau) + real(1));
       if (!(d > real(0))) { continue; }
       real const l2 = scalar::sqrt(d), l3 = tau * l2;
       real const l1 = w0 * l2 + w1 * l3;
-      if (!(l1 >= real(0)) || out.count == 4) { continue; }
-      out.T_cw[out.count++] = pose_of(l1, l2, l3);
+      if (l1 >= real(0)) { visit(pose_of(l1, l2, l3)); }
     }
   }
 

@@ -95,26 +95,38 @@ struct judge_camera_frame {
   FT_HOST_DEVICE void operator()(Group g, scratch&, int b, tracking_rules const& rules,
                                  searched_frames<Rig> const& in,
                                  odometry_state_view const& state) const {
-    camera_track const before = state.tracks[b];
+    search_plan const plan = state.tracks[b].plan;
     int const inliers = in.inliers[b];
-    bool const found = before.plan == search_plan::follow   ? inliers >= rules.min_inliers
-                       : before.plan == search_plan::rejoin ? inliers >= rules.min_recovered
-                       : before.plan == search_plan::recover
+    bool const found = plan == search_plan::follow   ? inliers >= rules.min_inliers
+                       : plan == search_plan::rejoin ? inliers >= rules.min_recovered
+                       : plan == search_plan::recover
                            ? inliers >= rules.min_recovered && is_evident(g, b, rules, in)
                            : false;
     keypoint_counts const counts = release_and_count(g, b, in, rules.near_depth, found);
     g.sync();
-    if (g.rank() != 0) { return; }
-    camera_track t = before;
+    // In place: a copy of its own were local memory of each thread that the device can hold.
+    if (g.rank() == 0) { decide(state.tracks[b], b, found, counts, rules, in, state); }
+  }
+
+private:
+  /// A thread's part.
+  template <typename Rig>
+  FT_HOST_DEVICE static void decide(camera_track& t, int b, bool found,
+                                    keypoint_counts const& counts, tracking_rules const& rules,
+                                    searched_frames<Rig> const& in,
+                                    odometry_state_view const& state) {
+    int const inliers = in.inliers[b];
+    search_plan const plan = t.plan;
     t.begins = 0;
     state.weighed[b] = {in.T_cw[b], state.T_cw[b]};
-    t.facts = {};
-    t.facts.fixed = before.facts.fixed;
-    t.facts.dragged = before.facts.dragged;
-    t.facts.held_before = before.held;
-    t.facts.moving = before.moved;
-    t.agreed = before.plan == search_plan::nothing ? 0 : inliers;
-    bool const follows = before.plan == search_plan::follow;
+    frame_facts facts{};
+    facts.fixed = t.facts.fixed;
+    facts.dragged = t.facts.dragged;
+    facts.held_before = t.held;
+    facts.moving = t.moved;
+    t.facts = facts;
+    t.agreed = plan == search_plan::nothing ? 0 : inliers;
+    bool const follows = plan == search_plan::follow;
     // The local map of a lost camera is seen from a guessed pose. A point that it does not find
     // there may be anywhere.
     state.counts[b] = !found ? sightings::none : follows ? sightings::all : sightings::found_only;
@@ -141,20 +153,15 @@ struct judge_camera_frame {
       t.new_keyframe = 0;
     }
     in.T_cw[b] = state.T_cw[b].template cast<float>();
-    state.tracks[b] = t;
     if constexpr (is_monocular_v<Rig>) {
       in.begins.wants_more[b] = looks_for_start(t, in.begins.patience) ? 1 : 0;
     }
   }
-
-private:
   /// Whether a lost camera's matches are more than a wrong pose would find.
   template <typename Group, typename Rig>
   FT_HOST_DEVICE static bool is_evident(Group g, int b, tracking_rules const& rules,
                                         searched_frames<Rig> const& in) {
-    local_search<Rig> at = in.local;
-    at.T_cw = in.T_cw;
-    searched_evidence const of = weigh_points(g, b, at, in.local_capacity, in.frame, in.map);
+    searched_evidence const of = weigh_points(g, b, in.local, in.local_capacity, in.frame, in.map);
     int const inliers = in.inliers[b];
     return is_enough(of.bits(inliers), rules);
   }
@@ -260,7 +267,11 @@ private:
 template <typename Exec, typename Rig>
 void judge_frames(Exec const& exec, tracking_rules const& rules, searched_frames<Rig> const& in,
                   odometry_state_view const& state) {
-  for_each_item<per_block<512>>(exec, state.batch, detail::judge_camera_frame{}, rules, in, state);
+  searched_frames<Rig> judged = in;
+  judged.local.T_cw = in.T_cw;
+  judged.local.seen = nullptr;
+  for_each_item<per_block<512>>(exec, state.batch, detail::judge_camera_frame{}, rules, judged,
+                                state);
 }
 
 }  // namespace FT_ABI

@@ -54,6 +54,7 @@ struct inertial_estimation {
   imu_mount mount;
   initialization_params metric;    ///< of maps in metres
   initialization_params unscaled;  ///< of those whose unit is unknown
+  initialization_params joined;    ///< `metric` without_bias_prior()
 };
 
 namespace detail {
@@ -211,29 +212,25 @@ struct estimate_window {
     int const from = v.from[b];
     initialization_window const window{v.T_wc + first + from, v.integrals + first + from,
                                        v.counts[b] - from, how.mount};
-    inertial_initialization found{};
-    bool const known = estimate(g, s, b, window, v, found);
-    if (g.rank() == 0) {
-      v.results[b] = found;
-      v.usable[b] = known ? 1 : 0;
-    }
+    bool const known = estimate(g, s, b, window, v, v.results[b]);
+    if (g.rank() == 0) { v.usable[b] = known ? 1 : 0; }
   }
 
 private:
   template <typename Group>
   FT_HOST_DEVICE bool estimate(Group g, scratch& s, int b, initialization_window const& window,
                                inertial_windows const& v, inertial_initialization& found) const {
-    if (v.seeks_scale[b] != 0) {
-      found = initialize_window_by(g, s, window, how.unscaled, nullptr);
-      return found.succeeded();
-    }
-    found = initialize_window_by(g, s, window, how.metric, nullptr);
+    bool const seeks_scale = v.seeks_scale[b] != 0;
+    // One call, so that it is inlined, and these are registers.
+    initialization_params const params = seeks_scale ? how.unscaled : how.metric;
+    initialize_window_by(g, s, window, params, nullptr, found);
+    if (seeks_scale) { return found.succeeded(); }
     // An uncertain window has a small weight. Alone it is none.
     bool const uncertain = found.status == initialization_status::little_motion &&
                            found.tilt_sigma > 0 && v.joined[b].count > 0;
     if (!found.succeeded() && !uncertain) { return false; }
     bool const joined =
-        join_window_by(g, s, window, how.metric, inertial_memory, v.joined[b], found);
+        join_window_by(g, s, window, how.metric, how.joined, inertial_memory, v.joined[b], found);
     return joined || found.succeeded();
   }
 };

@@ -109,16 +109,15 @@ FT_HOST_DEVICE void weigh_point(Group g, search_window v, descriptor const& orb,
 }
 
 /// Counts of all points of a list that a camera sees from its pose. All threads of a group call.
-/// @param in with the pose that is judged; its `slots` and `slot_count` are the list. Stamps and
-///   `seen` are not used
+/// @param in with the pose that is judged; its `slots` and `slot_count` are the list. Stamps are
+/// not
+///   used; `seen` is null
 /// @param capacity of the list
 template <typename Group, typename Rig>
 FT_HOST_DEVICE searched_evidence weigh_points(Group g, int b, local_search<Rig> const& in,
                                               int capacity, frame_view const& frame,
                                               map_points_view const& map) {
   using windows = local_map_windows<Rig, false>;
-  local_search<Rig> search = in;
-  search.seen = nullptr;
   search_windows_view shape;
   shape.capacity = capacity;
   shape.batch = frame.batch * Rig::searches;
@@ -126,7 +125,7 @@ FT_HOST_DEVICE searched_evidence weigh_points(Group g, int b, local_search<Rig> 
   map_points_view const points = map.slice(b);
   for (int s = 0; s < Rig::searches; ++s) {
     for (int i = g.rank(); i < in.slot_count[b]; i += g.size()) {
-      window_pair const pair = windows::find(search, map, b * Rig::searches + s, i, shape, false);
+      window_pair const pair = windows::find(in, map, b * Rig::searches + s, i, shape, false);
       for (int c = 0; c < windows::cameras; ++c) {
         search_window const w = pair.camera(c);
         int const camera = s * windows::cameras + c;
@@ -167,8 +166,10 @@ template <typename Exec, typename Rig>
 void weigh_recoveries(Exec const& exec, local_search<Rig> const& in, int capacity,
                       frame_view const& frame, map_points_view const& map, int const* inliers,
                       std::int64_t* bits) {
-  for_each_item<per_block<256>>(exec, frame.batch, detail::weigh_recovery{}, in, capacity, frame,
-                                map, inliers, bits);
+  local_search<Rig> search = in;
+  search.seen = nullptr;
+  for_each_item<per_block<256>>(exec, frame.batch, detail::weigh_recovery{}, search, capacity,
+                                frame, map, inliers, bits);
 }
 
 }  // namespace FT_ABI

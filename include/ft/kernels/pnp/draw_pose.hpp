@@ -94,23 +94,21 @@ FT_HOST_DEVICE bool pose_of_three(seen_matches<Rig> const& in, counter_draws con
     ray[i] = scaled(seen.direction, strict_double(1) / length);
     point[i] = o.point.template cast<strict_double>();
   }
-  three_point_poses const all = three_point_solver(ray, point).solve();
   observation const& fourth = in.list[drawn[3]];
-  int best = -1;
+  bool found = false;
   strict_double least = 0;
-  for (int i = 0; i < all.count; ++i) {
-    auto const seen = camera.project(all.T_cw[i] * fourth.point.template cast<strict_double>());
+  three_point_solver(ray, point).for_each_pose([&](rigid<strict_double> const& T_cw) {
+    auto const seen = camera.project(T_cw * fourth.point.template cast<strict_double>());
     strict_double const dx = seen.pixel.x - strict_double(static_cast<double>(fourth.u));
     strict_double const dy = seen.pixel.y - strict_double(static_cast<double>(fourth.v));
     strict_double const e = dx * dx + dy * dy;
-    if (seen.valid && (best < 0 || e < least)) {
-      best = i;
+    if (seen.valid && (!found || e < least)) {
+      found = true;
+      T = T_cw;
       least = e;
     }
-  }
-  if (best < 0) { return false; }
-  T = all.T_cw[best];
-  return true;
+  });
+  return found;
 }
 
 /// Draws 256 poses and keeps the one with the least sum of truncated squared errors, the first of

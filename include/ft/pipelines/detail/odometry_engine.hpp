@@ -24,7 +24,6 @@
 #include "ft/core/stage_clock.hpp"
 #include "ft/pipelines/check_params.hpp"
 #include "ft/pipelines/detail/odometry_adjustment.hpp"
-#include "ft/pipelines/detail/odometry_covariance.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_part.hpp"
 #include "ft/pipelines/detail/odometry_prefetch.hpp"

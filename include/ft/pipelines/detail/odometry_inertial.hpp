@@ -170,8 +170,9 @@ public:
   /// Estimates biases, gravity and velocities.
   void after_adjustment(Exec const& exec, int const* selected,
                         window_problem_view const& problem) const override {
-    inertial_estimation how{mount_, params_.initialization, params_.initialization};
+    inertial_estimation how{mount_, params_.initialization, params_.initialization, {}};
     how.metric.known_scale = true;
+    how.joined = without_bias_prior(how.metric);
     how.unscaled.known_scale = false;
     how.unscaled.position_sigma = params_.scale_position_sigma;
     how.unscaled.max_scale_sigma = params_.scale_sigma;

@@ -26,82 +26,108 @@ FT_HOST_DEVICE inline mat3<double> turn_upwards(strict_vec3d up) {
   return R.cast<double>();
 }
 
-/// Writes gravity, the last state and, if asked for, all velocities.
+/// Writes gravity, the last state and, if asked for, all velocities. Ends with a sync.
 /// @return the integrals of the whole window
 template <typename Group>
-FT_HOST_DEVICE joined_integrals describe_state(inertial_initializer<Group> const& of,
-                                               inertial_initialization& out,
-                                               vec3<double>* velocities) {
+FT_HOST_DEVICE joined_integrals const& describe_state(inertial_initializer<Group> const& of,
+                                                      inertial_initialization& out,
+                                                      vec3<double>* velocities) {
   initialization_window const& in = of.in;
-  strict_vec3d const v0{of.x[0], of.x[1], of.x[2]};
-  strict_vec3d const ba{of.x[6], of.x[7], of.x[8]};
-  joined_integrals joined = joined_integrals::none();
-  strict_vec3d v = v0;
+  initialization_scratch const& s = of.s;
+  strict_vec3d const v0{s.x[0], s.x[1], s.x[2]};
+  strict_vec3d const ba{s.x[6], s.x[7], s.x[8]};
+  auto const velocity_at = [&](joined_integrals const& joined) {
+    return v0 + scaled(s.gravity, joined.T) + joined.U + joined.W * ba;
+  };
   int const last = in.count - 1;
+  int const first = velocities != nullptr ? 0 : min_of(last, initialization_scratch::most_joined);
   FT_NO_UNROLL
-  for (int k = 0; k <= last; ++k) {
-    joined = of.joined_up_to(k, joined);
-    v = v0 + scaled(of.gravity, joined.T) + joined.U + joined.W * ba;
-    if (velocities != nullptr && of.g.rank() == 0) { velocities[k] = v.template cast<double>(); }
+  for (int k = first; k < last; ++k) {
+    auto const& joined = of.joined_up_to(k);
+    if (velocities != nullptr && of.g.rank() == 0) {
+      velocities[k] = velocity_at(joined).template cast<double>();
+    }
+    of.g.sync();
   }
-  strict_vec3d const from_origin = of.camera(last) + in.T_wc[0].t.template cast<real64>();
-  out.newest.R = of.rotation(last).template cast<double>();
-  out.newest.p = (scaled(from_origin, of.scale) + of.lever(last)).template cast<double>();
-  out.newest.v = v.template cast<double>();
-  out.newest.bg = of.gyro_bias.template cast<double>();
-  out.newest.ba = ba.template cast<double>();
-  out.gravity = of.gravity.template cast<double>();
-  real64 const G = static_cast<double>(of.params.gravity);
-  out.R_up = turn_upwards(scaled(of.gravity, real64(-1.0) / G));
-  out.scale = of.scale.value;
+  joined_integrals const& joined = of.joined_up_to(last);
+  if (of.g.rank() == 0) {
+    vec3<double> const v = velocity_at(joined).template cast<double>();
+    if (velocities != nullptr) { velocities[last] = v; }
+    strict_vec3d const from_origin = of.camera(last) + in.T_wc[0].t.template cast<real64>();
+    out.newest.R = of.rotation(last).template cast<double>();
+    out.newest.p = (scaled(from_origin, s.scale) + of.lever(last)).template cast<double>();
+    out.newest.v = v;
+    out.newest.bg = s.gyro_bias.template cast<double>();
+    out.newest.ba = ba.template cast<double>();
+    out.gravity = s.gravity.template cast<double>();
+    real64 const G = static_cast<double>(of.params.gravity);
+    out.R_up = turn_upwards(scaled(s.gravity, real64(-1.0) / G));
+    out.scale = s.scale.value;
+  }
+  of.g.sync();
   return joined;
 }
 
-/// Writes standard deviations and what the poses are off by.
-/// @param squares of what the poses are off by, summed
+/// Numbers of variances.
+enum : int { of_tilt = 0, of_bias = 3, of_velocity = 6, of_scale = 9 };
+
+/// Variances of what is described, one a thread. Ends with a sync.
 template <typename Group>
-FT_HOST_DEVICE void describe_certainty(inertial_initializer<Group> const& of, real64 squares,
-                                       joined_integrals const& joined,
-                                       inertial_initialization& out) {
+FT_HOST_DEVICE void find_variances(inertial_initializer<Group> const& of,
+                                   joined_integrals const& joined) {
   using I = inertial_initializer<Group>;
-  using unknown_row = typename I::unknown_row;
-  auto const& equations = of.s.equations;
+  initialization_scratch& s = of.s;
+  for (int v = of.g.rank(); v < initialization_scratch::most_variances; v += of.g.size()) {
+    bool const known = v < of_bias ? v < s.directions : v != of_scale || of.scale_is_sought();
+    if (!known) { continue; }
+    auto& row = s.asked[v];
+    for (int i = 0; i < I::most_unknowns; ++i) { row[i] = 0.0; }
+    if (v < of_bias) {
+      row[I::direction + v] = 1.0;
+    } else if (v < of_velocity) {
+      row[I::bias + v - of_bias] = 1.0;
+    } else if (v < of_scale) {
+      int const axis = v - of_velocity;
+      for (int j = 0; j < 3; ++j) { row[I::bias + j] = joined.W.m[3 * axis + j]; }
+      row[I::velocity + axis] = 1.0;
+      for (int j = 0; j < s.directions; ++j) {
+        row[I::direction + j] = joined.T * component(s.basis[j], axis);
+      }
+    } else {
+      row[I::direction + s.directions] = 1.0;
+    }
+    s.variance[v] = s.equations.variance(row, s.work[v]);
+  }
+  of.g.sync();
+}
+
+/// Writes standard deviations and what the poses are off by, after find_variances(). A thread's
+/// part.
+template <typename Group>
+FT_HOST_DEVICE void describe_certainty(inertial_initializer<Group> const& of,
+                                       inertial_initialization& out) {
+  initialization_scratch const& s = of.s;
   int const count = of.in.count;
-  real64 const sigma = of.scale * real64(static_cast<double>(of.params.position_sigma));
+  real64 const sigma = s.scale * real64(static_cast<double>(of.params.position_sigma));
   real64 const freedom = static_cast<double>(max_of(3 * count - of.unknowns(), 1));
   // the given deviation may be too small
-  real64 const factor = max_of(real64(1.0), scalar::sqrt(squares / freedom) / sigma);
+  real64 const factor = max_of(real64(1.0), scalar::sqrt(s.squares / freedom) / sigma);
   auto const deviation = [&](real64 variance) {
     return static_cast<float>((factor * scalar::sqrt(variance)).value);
   };
-  real64 tilt = 0.0;
-  for (int j = 0; j < of.directions; ++j) {
-    unknown_row row;
-    row.x[I::direction + j] = 1.0;
-    tilt += equations.variance(row.x);
-  }
-  real64 most = 0.0;
-  real64 moving = 0.0;
+  real64 tilt = 0.0, most = 0.0, moving = 0.0;
+  for (int j = 0; j < s.directions; ++j) { tilt += s.variance[of_tilt + j]; }
   for (int axis = 0; axis < 3; ++axis) {
-    unknown_row row;
-    row.x[I::bias + axis] = 1.0;
-    most = max_of(most, equations.variance(row.x));
-    for (int j = 0; j < 3; ++j) { row.x[I::bias + j] = joined.W.m[3 * axis + j]; }
-    row.x[I::velocity + axis] = 1.0;
-    for (int j = 0; j < of.directions; ++j) {
-      row.x[I::direction + j] = joined.T * component(of.basis[j], axis);
-    }
-    moving += equations.variance(row.x);
+    most = max_of(most, s.variance[of_bias + axis]);
+    moving += s.variance[of_velocity + axis];
   }
   out.position_rms =
-      static_cast<float>(scalar::sqrt(squares / real64(static_cast<double>(3 * count))).value);
+      static_cast<float>(scalar::sqrt(s.squares / real64(static_cast<double>(3 * count))).value);
   out.tilt_sigma = deviation(tilt);
   out.accel_bias_sigma = deviation(most);
   out.velocity_sigma = deviation(moving);
   if (of.scale_is_sought()) {
-    unknown_row row;
-    row.x[I::direction + of.directions] = 1.0;
-    out.scale_sigma = deviation(equations.variance(row.x) / (of.scale * of.scale));
+    out.scale_sigma = deviation(s.variance[of_scale] / (s.scale * s.scale));
   }
 }
 

@@ -20,13 +20,33 @@ struct initialization_scratch {
   static constexpr int most_threads = 32;
   static constexpr int most_joined = 64;
   least_squares<3> gyro;
+  real64 gyro_axis[3], gyro_work[3];
   least_squares<most_unknowns> equations;
   strict_vec3d residual[most_threads];   ///< of intervals
   joined_integrals joined[most_joined];  ///< from the first keyframe to the first of the others
+  joined_integrals after;                ///< the same, to a keyframe behind those
+  least_squares<5> sum;                  ///< of several windows
+  inertial_initialization found;         ///< for callers
+
+  // What the steps of one window hand on.
+  int resting;
+  int directions;  ///< of the changes of gravity: 3 at first, then 2
+  strict_vec3d gyro_bias, gravity;
+  strict_vec3d basis[3];  ///< the directions, m/s^2 each
+  real64 scale;
+  real64 squares;  ///< that the last solution leaves
+  real64 x[most_unknowns];
+
+  /// Rows of the axes of a keyframe's position and of the next one's, their right-hand sides
+  /// behind.
+  real64 rows[2][3][most_unknowns + 1];
+  static constexpr int most_variances = 10;
+  real64 asked[most_variances][most_unknowns], work[most_variances][most_unknowns];
+  real64 variance[most_variances];  ///< of `asked` . x
 };
 
-/// The steps of an initialisation. Members are what the steps hand on. All threads of a group take
-/// the same steps with the same numbers; they share the equations, and what takes long.
+/// The steps of an initialisation, which all threads of a group take. What a step finds is in the
+/// memory that they share.
 template <typename Group>
 struct inertial_initializer {
   using scratch = initialization_scratch;
@@ -36,14 +56,6 @@ struct inertial_initializer {
   static constexpr double step_tolerance = 1e-4;
   using system = least_squares<most_unknowns>;
 
-  /// Factors of the unknowns, 0 at first.
-  struct unknown_row {
-    real64 x[most_unknowns];
-    FT_HOST_DEVICE unknown_row() {
-      for (int i = 0; i < most_unknowns; ++i) { x[i] = 0.0; }
-    }
-  };
-
   /// Places of the unknowns.
   enum : int { velocity = 0, position = 3, bias = 6, direction = 9 };
 
@@ -51,45 +63,44 @@ struct inertial_initializer {
   scratch& s;
   initialization_window const& in;
   initialization_params const& params;
-  strict_mat3d R_cb;
-  strict_vec3d t_cb;
-  bool resting;
-  strict_vec3d gyro_bias, gravity;
-  strict_vec3d basis[3];  ///< of the changes of gravity, m/s^2 each
-  int directions;         ///< how many of them: 3 at first, then 2
-  real64 scale;
-  real64 x[most_unknowns];
 
+  /// Ends with a sync.
   FT_HOST_DEVICE inertial_initializer(Group group, scratch& shared,
                                       initialization_window const& window,
                                       initialization_params const& p)
       : g(group), s(shared), in(window), params(p) {
     static_assert(Group::max_threads <= scratch::most_threads, "one residual each");
-    R_cb = in.mount.T_cb.R.template cast<real64>();
-    t_cb = in.mount.T_cb.t.template cast<real64>();
-    gyro_bias = gravity = {0.0, 0.0, 0.0};
-    resting = false;
-    directions = 3;
-    basis[0] = {1.0, 0.0, 0.0};
-    basis[1] = {0.0, 1.0, 0.0};
-    basis[2] = {0.0, 0.0, 1.0};
-    scale = 1.0;
-    for (int i = 0; i < most_unknowns; ++i) { x[i] = 0.0; }
+    g.sync();  // an earlier window's may still be read
+    if (g.rank() == 0) {
+      s.gyro_bias = s.gravity = {0.0, 0.0, 0.0};
+      s.resting = 0;
+      s.directions = 3;
+      s.basis[0] = {1.0, 0.0, 0.0};
+      s.basis[1] = {0.0, 1.0, 0.0};
+      s.basis[2] = {0.0, 0.0, 1.0};
+      s.scale = 1.0;
+      for (int i = 0; i < most_unknowns; ++i) { s.x[i] = 0.0; }
+    }
+    g.sync();
   }
 
-  FT_HOST_DEVICE int pose_of(int k) const { return resting ? 0 : k; }
+  FT_HOST_DEVICE int pose_of(int k) const { return s.resting != 0 ? 0 : k; }
   FT_HOST_DEVICE strict_mat3d camera_rotation(int k) const {
     return in.T_wc[pose_of(k)].R.template cast<real64>();
   }
-  FT_HOST_DEVICE strict_mat3d rotation(int k) const { return camera_rotation(k) * R_cb; }
+  FT_HOST_DEVICE strict_mat3d rotation(int k) const {
+    return camera_rotation(k) * in.mount.T_cb.R.template cast<real64>();
+  }
   /// The camera's position from its first one, in the unit of the poses.
   FT_HOST_DEVICE strict_vec3d camera(int k) const {
     return in.T_wc[pose_of(k)].t.template cast<real64>() - in.T_wc[0].t.template cast<real64>();
   }
   /// From the camera's position to the body's, metres.
-  FT_HOST_DEVICE strict_vec3d lever(int k) const { return camera_rotation(k) * t_cb; }
+  FT_HOST_DEVICE strict_vec3d lever(int k) const {
+    return camera_rotation(k) * in.mount.T_cb.t.template cast<real64>();
+  }
   FT_HOST_DEVICE int unknowns() const {
-    return direction + directions + (scale_is_sought() ? 1 : 0);
+    return direction + s.directions + (scale_is_sought() ? 1 : 0);
   }
   FT_HOST_DEVICE bool scale_is_sought() const { return !params.known_scale; }
 
@@ -126,6 +137,7 @@ struct inertial_initializer {
     return sum;
   }
 
+  /// Ends with a sync.
   FT_HOST_DEVICE void find_rest() {
     if (scale_is_sought()) { return; }
     bool still = true;
@@ -139,63 +151,71 @@ struct inertial_initializer {
       // the sum is 8 sin^2 of half the angle
       still = still && sum <= real64(2.0) * angle * angle;
     }
-    resting = !g.any(!still);
+    bool const resting = !g.any(!still);
+    if (g.rank() == 0) { s.resting = resting ? 1 : 0; }
+    g.sync();
   }
 
-  /// Gauss-Newton on the rotations of all intervals.
+  /// Gauss-Newton on the rotations of all intervals. Ends with a sync.
   FT_HOST_DEVICE bool find_gyro_bias(inertial_initialization& out) {
     auto& equations = s.gyro;
-    real64 squares = 0.0;
     FT_NO_UNROLL
     for (int step = 0; step <= refinements; ++step) {
       equations.begin(g, 3);
-      squares = 0.0;
+      if (g.rank() == 0) { s.squares = 0.0; }
       FT_NO_UNROLL
-      for (int first = 0; first + 1 < in.count; first += g.size()) {
-        add_rotations(first, squares);
-      }
+      for (int first = 0; first + 1 < in.count; first += g.size()) { add_rotations(first); }
       if (!equations.factor(g)) { return false; }
       if (step == refinements) { break; }
-      real64 d[3] = {equations.b[0], equations.b[1], equations.b[2]};
-      equations.solve(d);
-      strict_vec3d const change{d[0], d[1], d[2]};
-      gyro_bias = gyro_bias + change;
-      if (dot(change, change) < real64(step_tolerance * step_tolerance)) { break; }
-      g.sync();
+      bool ends = false;
+      if (g.rank() == 0) {
+        equations.solve();
+        strict_vec3d const change{equations.x[0], equations.x[1], equations.x[2]};
+        s.gyro_bias = s.gyro_bias + change;
+        ends = dot(change, change) < real64(step_tolerance * step_tolerance);
+      }
+      if (g.any(ends)) { break; }
     }
-    real64 const rms = scalar::sqrt(squares / real64(3.0 * (in.count - 1)));
+    if (g.rank() == 0) { describe_rotations(out); }
+    g.sync();
+    return true;
+  }
+  /// A thread's part.
+  FT_HOST_DEVICE void describe_rotations(inertial_initialization& out) {
+    real64 const rms = scalar::sqrt(s.squares / real64(3.0 * (in.count - 1)));
     // two poses bound an interval
     real64 const given = real64(1.4142135623730951 * params.rotation_sigma);
     real64 sum = 0.0;
+    FT_NO_UNROLL
     for (int i = 0; i < 3; ++i) {
-      real64 const row[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
-      sum += equations.variance(row);
+      for (int j = 0; j < 3; ++j) { s.gyro_axis[j] = i == j ? 1.0 : 0.0; }
+      sum += s.gyro.variance(s.gyro_axis, s.gyro_work);
     }
     out.rotation_rms = static_cast<float>(rms.value);
     out.gyro_bias_sigma =
         static_cast<float>((max_of(given, rms) * scalar::sqrt(sum / real64(3.0))).value);
-    return true;
   }
 
   /// Intervals `first` and following, one a thread, then added in their order. Ends with a sync.
-  FT_HOST_DEVICE void add_rotations(int first, real64& squares) const {
+  FT_HOST_DEVICE void add_rotations(int first) const {
     int const own = first + g.rank();
     if (own + 1 < in.count) {
       strict_mat3d const seen = rotation(own).transposed() * rotation(own + 1);
-      strict_mat3d const off = rotation_at(in.integrals[own], gyro_bias).transposed() * seen;
+      strict_mat3d const off = rotation_at(in.integrals[own], s.gyro_bias).transposed() * seen;
       s.residual[g.rank()] = rotation_log(off);
     }
     g.sync();
     int const last = min_of(first + g.size(), in.count - 1);
     FT_NO_UNROLL
     for (int k = first; k < last; ++k) {
-      strict_mat3d const J = in.integrals[k].JRg.template cast<real64>();
       strict_vec3d const r = s.residual[k - first];
+      FT_NO_UNROLL
       for (int i = 0; i < 3; ++i) {
-        real64 const row[3] = {J.m[3 * i], J.m[3 * i + 1], J.m[3 * i + 2]};
+        float const* const J = in.integrals[k].JRg.m + 3 * i;
+        auto const row = [&](int j) { return real64(static_cast<double>(J[j])); };
         s.gyro.add(g, row, component(r, i), 1.0);
       }
-      squares += dot(r, r);
+      if (g.rank() == 0) { s.squares += dot(r, r); }
     }
     g.sync();
   }
@@ -206,116 +226,158 @@ struct inertial_initializer {
     joined_integrals joined = joined_integrals::none();
     FT_NO_UNROLL
     for (int k = 0; k < min_of(in.count, scratch::most_joined); ++k) {
-      if (k > 0) { joined.append(in.integrals[k - 1], rotation(k - 1), gyro_bias); }
+      if (k > 0) { joined.append(in.integrals[k - 1], rotation(k - 1), s.gyro_bias); }
       if (g.rank() == 0) { s.joined[k] = joined; }
     }
     g.sync();
   }
-  /// The integrals up to keyframe k, after join_integrals(). @param before those up to k - 1
-  FT_HOST_DEVICE joined_integrals joined_up_to(int k, joined_integrals const& before) const {
+  /// The integrals up to keyframe k, after join_integrals() and the call for k - 1.
+  FT_HOST_DEVICE joined_integrals const& joined_up_to(int k) const {
     if (k < scratch::most_joined) { return s.joined[k]; }
-    joined_integrals joined = before;
-    joined.append(in.integrals[k - 1], rotation(k - 1), gyro_bias);
-    return joined;
+    if (g.rank() == 0) {
+      if (k == scratch::most_joined) { s.after = s.joined[k - 1]; }
+      s.after.append(in.integrals[k - 1], rotation(k - 1), s.gyro_bias);
+    }
+    g.sync();
+    return s.after;
   }
 
-  /// Row of one axis of a keyframe's position, and its right-hand side.
-  FT_HOST_DEVICE real64 fill_row(joined_integrals const& joined, int k, int axis,
-                                 real64 (&row)[most_unknowns]) const {
-    row[velocity + axis] = joined.T;
-    row[position + axis] = 1.0;
-    for (int j = 0; j < 3; ++j) { row[bias + j] = joined.E.m[3 * axis + j]; }
-    real64 const fall = real64(0.5) * joined.T * joined.T;
-    for (int j = 0; j < directions; ++j) { row[direction + j] = fall * component(basis[j], axis); }
-    real64 const seen = component(camera(k), axis);
-    real64 right =
-        component(lever(k), axis) - component(joined.D, axis) - fall * component(gravity, axis);
-    if (scale_is_sought()) {
-      row[direction + directions] = -seen;
-    } else {
-      right += seen;
+  /// Factor of an unknown in the row of an axis of a keyframe's position.
+  FT_HOST_DEVICE real64 factor_of(joined_integrals const& joined, int k, int axis,
+                                  int unknown) const {
+    if (unknown == velocity + axis) { return joined.T; }
+    if (unknown == position + axis) { return 1.0; }
+    if (unknown < bias) { return 0.0; }
+    if (unknown < direction) { return joined.E.m[3 * axis + unknown - bias]; }
+    if (unknown < direction + s.directions) {
+      return fall_of(joined) * component(s.basis[unknown - direction], axis);
     }
+    if (scale_is_sought() && unknown == direction + s.directions) {
+      return -component(camera(k), axis);
+    }
+    return 0.0;
+  }
+  FT_HOST_DEVICE static real64 fall_of(joined_integrals const& joined) {
+    return real64(0.5) * joined.T * joined.T;
+  }
+  FT_HOST_DEVICE real64 right_of(joined_integrals const& joined, int k, int axis) const {
+    real64 right = component(lever(k), axis) - component(joined.D, axis) -
+                   fall_of(joined) * component(s.gravity, axis);
+    if (!scale_is_sought()) { right += component(camera(k), axis); }
     return right;
+  }
+  /// Rows of keyframe k.
+  FT_HOST_DEVICE void fill_rows(joined_integrals const& joined, int k) const {
+    constexpr int columns = most_unknowns + 1;
+    for (int i = g.rank(); i < 3 * columns; i += g.size()) {
+      int const axis = i / columns, column = i % columns;
+      s.rows[k % 2][axis][column] =
+          column == most_unknowns ? right_of(joined, k, axis) : factor_of(joined, k, axis, column);
+    }
+  }
+  /// Adds what the last solution leaves of keyframe k. A thread's part.
+  FT_HOST_DEVICE void add_squares(int k) const {
+    FT_NO_UNROLL
+    for (int axis = 0; axis < 3; ++axis) {
+      auto const& row = s.rows[k % 2][axis];
+      real64 off = row[most_unknowns];
+      for (int i = 0; i < unknowns(); ++i) { off -= row[i] * s.x[i]; }
+      s.squares += off * off;
+    }
   }
 
   /// Builds the system, and sums the squares that the last solution leaves. Ends with a sync.
-  FT_HOST_DEVICE real64 build() const {
+  FT_HOST_DEVICE void build() const {
     system& equations = s.equations;
     g.sync();  // the last one may still be read
     equations.begin(g, unknowns());
-    real64 const sigma = scale * real64(static_cast<double>(params.position_sigma));
+    real64 const sigma = s.scale * real64(static_cast<double>(params.position_sigma));
     real64 const weight = real64(1.0) / (sigma * sigma);
-    real64 squares = 0.0;
-    joined_integrals joined = joined_integrals::none();
+    if (g.rank() == g.size() - 1) { s.squares = 0.0; }
+    real64 T = 0.0;
     FT_NO_UNROLL
     for (int k = 0; k < in.count; ++k) {
-      joined = joined_up_to(k, joined);
+      joined_integrals const& joined = joined_up_to(k);
+      T = joined.T;
+      fill_rows(joined, k);
+      g.sync();
+      FT_NO_UNROLL
       for (int axis = 0; axis < 3; ++axis) {
-        unknown_row row;
-        real64 const right = fill_row(joined, k, axis, row.x);
-        equations.add(g, row.x, right, weight);
-        real64 off = right;
-        for (int i = 0; i < unknowns(); ++i) { off -= row.x[i] * x[i]; }
-        squares += off * off;
+        auto const& row = s.rows[k % 2][axis];
+        equations.add(
+            g, [&](int i) { return row[i]; }, row[most_unknowns], weight);
       }
+      if (g.rank() == g.size() - 1) { add_squares(k); }
     }
     real64 const prior = static_cast<double>(params.accel_bias_sigma);
     for (int i = 0; i < 3; ++i) {
       equations.pull_to_zero(g, bias + i, real64(1.0) / (prior * prior));
     }
-    if (resting) {
+    if (s.resting != 0) {
       // it can have moved by the distance of rest
-      real64 const slow =
-          real64(static_cast<double>(max_of(params.rest_distance, 1e-6f))) / joined.T;
+      real64 const slow = real64(static_cast<double>(max_of(params.rest_distance, 1e-6f))) / T;
       for (int i = 0; i < 3; ++i) {
         equations.pull_to_zero(g, velocity + i, real64(1.0) / (slow * slow));
       }
     }
     g.sync();
-    return squares;
   }
 
-  /// Gravity on its sphere, and two directions to change it in.
+  /// Gravity on its sphere, and two directions to change it in. A thread's part.
   FT_HOST_DEVICE bool set_gravity(strict_vec3d found) {
     real64 const length = norm_of(found);
     real64 const G = static_cast<double>(params.gravity);
     if (!(length > real64(0.1) * G)) { return false; }
-    gravity = scaled(found, G / length);
+    strict_vec3d const gravity = scaled(found, G / length);
     strict_vec3d const a{scalar::abs(found.x), scalar::abs(found.y), scalar::abs(found.z)};
     strict_vec3d const other = a.x <= a.y && a.x <= a.z ? strict_vec3d{1.0, 0.0, 0.0}
                                : a.y <= a.z             ? strict_vec3d{0.0, 1.0, 0.0}
                                                         : strict_vec3d{0.0, 0.0, 1.0};
     strict_vec3d const side = cross(gravity, other);
-    basis[0] = scaled(side, G / norm_of(side));
-    basis[1] = scaled(cross(gravity, basis[0]), real64(1.0) / G);
-    directions = 2;
+    s.gravity = gravity;
+    s.basis[0] = scaled(side, G / norm_of(side));
+    s.basis[1] = scaled(cross(gravity, s.basis[0]), real64(1.0) / G);
+    s.directions = 2;
     return true;
   }
 
-  /// Velocity, gravity, bias, scale. Leaves the system of the solution, factored.
-  FT_HOST_DEVICE bool solve(real64& squares) {
+  /// Velocity, gravity, bias, scale. Leaves the system of the solution, factored, and the squares
+  /// that it leaves. Ends with a sync.
+  FT_HOST_DEVICE bool solve() {
     system& equations = s.equations;
     join_integrals();
     FT_NO_UNROLL
     for (int step = 0; step <= refinements; ++step) {
       build();
-      real64 next[most_unknowns];
-      for (int i = 0; i < most_unknowns; ++i) { next[i] = equations.b[i]; }
       if (!equations.factor(g)) { return false; }
-      equations.solve(next);
-      strict_vec3d pull = gravity;
-      for (int j = 0; j < directions; ++j) { pull = pull + scaled(basis[j], next[direction + j]); }
-      if (scale_is_sought()) { scale = next[direction + directions]; }
-      strict_vec3d const before = gravity;
-      if (!(scale > real64(0.0)) || !set_gravity(pull)) { return false; }
-      for (int i = 0; i < direction; ++i) { x[i] = next[i]; }
-      for (int i = direction; i < most_unknowns; ++i) { x[i] = 0.0; }
-      if (scale_is_sought()) { x[direction + directions] = scale; }
-      strict_vec3d const change = gravity - before;
-      if (dot(change, change) < real64(step_tolerance * step_tolerance)) { break; }
+      bool failed = false, ends = false;
+      if (g.rank() == 0) { failed = !take_solution(ends); }
+      if (g.any(failed)) { return false; }
+      if (g.any(ends)) { break; }
     }
-    squares = build();
+    build();
     return equations.factor(g);
+  }
+
+private:
+  /// A thread's part. @param ends whether gravity hardly changed
+  FT_HOST_DEVICE bool take_solution(bool& ends) {
+    system& equations = s.equations;
+    equations.solve();
+    real64 const* const next = equations.x;
+    strict_vec3d pull = s.gravity;
+    for (int j = 0; j < s.directions; ++j) {
+      pull = pull + scaled(s.basis[j], next[direction + j]);
+    }
+    if (scale_is_sought()) { s.scale = next[direction + s.directions]; }
+    strict_vec3d const before = s.gravity;
+    if (!(s.scale > real64(0.0)) || !set_gravity(pull)) { return false; }
+    for (int i = 0; i < direction; ++i) { s.x[i] = next[i]; }
+    for (int i = direction; i < most_unknowns; ++i) { s.x[i] = 0.0; }
+    if (scale_is_sought()) { s.x[direction + s.directions] = s.scale; }
+    strict_vec3d const change = s.gravity - before;
+    ends = dot(change, change) < real64(step_tolerance * step_tolerance);
+    return true;
   }
 };
 

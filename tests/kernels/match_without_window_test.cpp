@@ -13,6 +13,7 @@
 
 #include "ft/kernels/motion/constant_velocity.hpp"
 #include "ft/kernels/odometry/propose_pose.hpp"
+#include "ft/kernels/odometry/refine_proposal.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/example_rigs.hpp"
 #include "tests/support/plain_map.hpp"
@@ -53,6 +54,9 @@ struct scene {
   bool known_motion = false;
   int held = 0, inliers = 0;
   bool first_is_right = false;  ///< the pose of the search from the last frame
+  float first_off = 0;          ///< metres, what it is off by
+  bool refined = false;
+  float width = 350;  ///< of the square of the image that has the right keypoints, pixels
   unsigned seed = 1;
 };
 
@@ -92,6 +96,7 @@ struct room {
     in.T_cw = there.T_cw;
     ft::match_without_window(exec, in, rules, there.state, there.work);
     ft::propose_poses(exec, in, rules, there.state, there.work);
+    if (s.refined) { ft::refine_proposals(exec, in, rules, there.state, there.work); }
     data.pull(exec);
   }
   ft::tracking_rules rules;
@@ -118,7 +123,8 @@ private:
     int n = 0;
     while (n < s.right + s.wrong) {
       // Within 90 degrees of the axis of each camera.
-      ft::vec2<float> const pixel{random.real(80, 430), random.real(80, 430)};
+      float const last = 80 + (n < s.right ? s.width : 350);
+      ft::vec2<float> const pixel{random.real(80, last), random.real(80, last)};
       auto const ray = model_of(rig, camera).unproject(pixel).direction;
       float const depth = random.real(1, 8) / ray.z;
       ft::vec3<float> in_camera{ray.x * depth, ray.y * depth, ray.z * depth};
@@ -158,6 +164,7 @@ private:
     v.state.tracks[0] = t;
     v.inliers[0] = s.inliers;
     v.T_cw[0] = s.first_is_right ? T_cw.template cast<float>() : ft::pose::identity();
+    v.T_cw[0].t.x += s.first_off;
   }
 };
 
@@ -201,9 +208,25 @@ TYPED_TEST(MatchWithoutWindow, KeepsAFirstPoseThatIsRight) {
   TypeParam backend;
   scene s;
   s.first_is_right = true;
-  room<typename TypeParam::exec_type, ft::rectified_rig> const r(backend.exec, s);
-  EXPECT_GE(r.proposal().first_support, 195);
-  EXPECT_EQ(r.proposal().adopted, 0);
+  for (bool refined : {false, true}) {
+    s.refined = refined;
+    room<typename TypeParam::exec_type, ft::rectified_rig> const r(backend.exec, s);
+    EXPECT_GE(r.proposal().first_support, 195);
+    EXPECT_EQ(r.proposal().adopted, 0);
+  }
+}
+
+TYPED_TEST(MatchWithoutWindow, AFirstPoseThatIsAPixelOffIsLeft) {
+  TypeParam backend;
+  scene s;
+  s.first_is_right = true;
+  s.first_off = 0.01f;  // metres, at depths of 1 to 8
+  s.wrong = 200;
+  s.noise = 1;
+  using room_type = room<typename TypeParam::exec_type, ft::rectified_rig>;
+  EXPECT_EQ(room_type(backend.exec, s).proposal().adopted, 0) << "less than a tenth better";
+  s.refined = true;
+  EXPECT_EQ(room_type(backend.exec, s).proposal().adopted, 1);
 }
 
 TYPED_TEST(MatchWithoutWindow, AdoptsNothingWhereNothingAgrees) {
@@ -258,6 +281,73 @@ TYPED_TEST(MatchWithoutWindow, BothExecutorsHaveTheSameBits) {
     room<ft::host_exec, test::fisheye_rig> const b(host, s);
     EXPECT_EQ(a.proposal().support, b.proposal().support);
     EXPECT_EQ(std::memcmp(&a.proposal().T_cw, &b.proposal().T_cw, sizeof(ft::rigid<double>)), 0);
+  }
+}
+
+template <typename Rig, typename Exec>
+void refines_the_pose(Exec const& exec, int camera) {
+  double drawn = 0, refined = 0;
+  for (unsigned seed = 1; seed <= 5; ++seed) {
+    SCOPED_TRACE(seed);
+    scene s;
+    s.seed = seed;
+    s.noise = 1;
+    drawn += room<Exec, Rig>(exec, s, camera).off();
+    s.refined = true;
+    room<Exec, Rig> const r(exec, s, camera);
+    refined += r.off();
+    EXPECT_GE(r.proposal().support, 190);
+    // 200 matches tell where points are within a fifth of a pixel.
+    EXPECT_GE(r.proposal().search_factor, 1.0f);
+    EXPECT_LT(r.proposal().search_factor, 1.1f);
+  }
+  EXPECT_LT(refined, 0.5 * drawn);
+}
+TYPED_TEST(MatchWithoutWindow, AllMatchesThatAgreeMakeThePoseBetter) {
+  TypeParam backend;
+  refines_the_pose<ft::rectified_rig>(backend.exec, 0);
+  refines_the_pose<test::fisheye_rig>(backend.exec, 0);
+  for (int c = 0; c < 3; ++c) { refines_the_pose<test::three_camera_rig>(backend.exec, c); }
+}
+
+TYPED_TEST(MatchWithoutWindow, FewMatchesInACornerAskForAWideSearch) {
+  TypeParam backend;
+  using room_type = room<typename TypeParam::exec_type, ft::rectified_rig>;
+  auto const factor = [&](int right, float width) {
+    scene s;
+    s.right = right;
+    s.wrong = 100;
+    s.width = width;
+    s.refined = true;
+    room_type const r(backend.exec, s);
+    EXPECT_EQ(r.proposal().adopted, 1);
+    return r.proposal().search_factor;
+  };
+  EXPECT_GT(factor(25, 350), factor(200, 350));
+  EXPECT_GT(factor(200, 30), factor(200, 350));
+  EXPECT_EQ(factor(25, 30), ft::tracking_rules{}.matched_search);
+}
+
+TYPED_TEST(MatchWithoutWindow, RefinedPosesHaveTheSameBits) {
+  TypeParam backend;
+  ft::host_exec const host;
+  auto const compare = [&](auto rig, scene const& s) {
+    using rig_type = decltype(rig);
+    room<typename TypeParam::exec_type, rig_type> const a(backend.exec, s);
+    room<ft::host_exec, rig_type> const b(host, s);
+    EXPECT_EQ(a.proposal().support, b.proposal().support);
+    EXPECT_EQ(a.proposal().search_factor, b.proposal().search_factor);
+    EXPECT_EQ(std::memcmp(&a.proposal().T_cw, &b.proposal().T_cw, sizeof(ft::rigid<double>)), 0);
+  };
+  for (unsigned seed = 21; seed < 26; ++seed) {
+    scene s;
+    s.seed = seed;
+    s.noise = 2;
+    s.right = 20 * static_cast<int>(seed - 20);
+    s.refined = true;
+    compare(test::example_rig<ft::rectified_rig>(), s);
+    compare(test::example_rig<test::fisheye_rig>(), s);
+    compare(test::example_rig<test::three_camera_rig>(), s);
   }
 }
 

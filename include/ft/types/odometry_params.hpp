@@ -56,7 +56,7 @@ struct tracking_rules {
   float doubtful_share = 0.5f;  ///< in doubt is a camera that finds a smaller share of the
                                 ///< keypoints that held a point in the last frame
   int min_support = 15;         ///< matches that must agree with a pose that is found so, from 4 on
-  float matched_search = 3;     ///< factor on the search radius around it
+  float matched_search = 3;     ///< largest factor on the search radius around it
   motion_params motion;
 };
 

@@ -24,11 +24,21 @@ inline namespace FT_ABI {
 
 /// A pose that was found without a search window.
 struct pose_proposal {
-  rigid<double> T_cw;  ///< undefined unless `matches` is above 0
-  int matches;         ///< that it was chosen by; 0 = none was looked for, or too few
-  int support;         ///< of these, how many agree with it
-  int first_support;   ///< and how many with the pose of the search from the last frame
-  int adopted;         ///< 1 = the frame goes on from it
+  rigid<double> T_cw;   ///< undefined unless `matches` is above 0
+  int matches;          ///< that it was chosen by; 0 = none was looked for, or too few
+  int support;          ///< of these, how many agree with it
+  int first_support;    ///< and how many with the pose of the search from the last frame
+  int adopted;          ///< 1 = the frame goes on from it
+  int first_cost;       ///< sum of the errors with the pose of the search from the last frame
+  int camera;           ///< whose matches these are
+  float search_factor;  ///< on the search radius around it
+};
+
+/// Working memory of the optimisation of a proposal.
+struct proposal_refinement {
+  pose start, T_cw;
+  int inliers;
+  float information[information_terms];
 };
 
 /// Inputs of the search without a window, in executor memory.
@@ -47,15 +57,17 @@ struct windowless_search {
 
 /// Working memory and outputs, in executor memory. Nothing has to be initialised.
 struct windowless_workspace {
-  int* keypoint_of = nullptr;      ///< [batch][numbers] keypoint nearest to an anchor, -1 = none
-  int* anchor_of = nullptr;        ///< [batch][numbers] anchor nearest to a keypoint, -1 = none
-  observation* matches = nullptr;  ///< [batch][numbers]
-  pose_proposal* proposals = nullptr;  ///< [batch]
+  int* keypoint_of = nullptr;        ///< [batch][numbers] keypoint nearest to an anchor, -1 = none
+  int* anchor_of = nullptr;          ///< [batch][numbers] anchor nearest to a keypoint, -1 = none
+  observation* matches = nullptr;    ///< [batch][numbers]
+  unsigned char* outlier = nullptr;  ///< [batch][numbers] of matches
+  proposal_refinement* refined = nullptr;  ///< [batch]
+  pose_proposal* proposals = nullptr;      ///< [batch]
 };
 
 inline void carve(carver& c, windowless_workspace& v, int numbers, int batch) {
-  c.place({batch, numbers}, v.keypoint_of, v.anchor_of, v.matches);
-  c.place({batch}, v.proposals);
+  c.place({batch, numbers}, v.keypoint_of, v.anchor_of, v.matches, v.outlier);
+  c.place({batch}, v.refined, v.proposals);
 }
 
 namespace detail {

@@ -24,7 +24,7 @@ struct search_start {
   pose* T_cw = nullptr;  ///< [batch] the first pose; replaced for a camera that is searched for
   int* stamp = nullptr;  ///< [batch] number of the frame; another one for such a camera, so that no
                          ///< point counts as matched
-  pose_proposal const* proposals = nullptr;  ///< [batch] of propose_poses(), or null
+  pose_proposal const* proposals = nullptr;  ///< [batch] of refine_proposals(), or null
   unsigned char const* fixed = nullptr;      ///< as in frames_in_map
   float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; these lose theirs
   int depth_cameras = 1;
@@ -64,7 +64,7 @@ struct plan_camera_search {
     bool const first =
         guided ? attempt % 2 == 0 : (attempt < recovery_places) == t.velocity.known();
     state.radius_factor[b] = !recovers ? 1.0f
-                             : adopts  ? rules.matched_search
+                             : adopts  ? start.proposals[b].search_factor
                              : first   ? rules.first_wide_search
                                        : rules.later_wide_search;
     if (recovers) {

@@ -35,7 +35,10 @@ struct propose_pose {
     pose_proposal& out = work.proposals[b];
     bool const wanted = is_doubtful(t, rules, in.inliers[b]);
     g.sync();
-    if (g.rank() == 0) { out.matches = out.support = out.first_support = out.adopted = 0; }
+    if (g.rank() == 0) {
+      out.matches = out.support = out.first_support = out.adopted = 0;
+      out.search_factor = rules.matched_search;
+    }
     if (!wanted) { return; }
     observation* const list = work.matches + static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
     int const camera = busiest(g, b, in, work);
@@ -51,8 +54,10 @@ struct propose_pose {
     int const first = cost_of_pose(g, matches, in.T_cw[b].template cast<double>(), first_support);
     if (g.rank() != 0) { return; }
     out.matches = n;
+    out.camera = camera;
     out.support = support;
     out.first_support = first_support;
+    out.first_cost = first;
     // A lost camera has no other pose to go on from.
     bool const better =
         t.lost_frames > 0 || 10.0f * static_cast<float>(cost) < 9.0f * static_cast<float>(first);

@@ -23,6 +23,7 @@
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/kernels/odometry/propose_pose.hpp"
+#include "ft/kernels/odometry/refine_proposal.hpp"
 #include "ft/kernels/stereo/refine_partners.hpp"
 #include "ft/pipelines/detail/frame_features.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
@@ -131,7 +132,7 @@ public:
     start.depth_cameras = memory.result.depth_cameras;
     plan_searches(exec, settings.rules, memory.frame, own.state, start);
   }
-  /// Matches anywhere in the image, and the pose that most of them agree with: two launches.
+  /// Matches anywhere in the image, and the pose that most of them agree with: three launches.
   void search_without_window(Exec const& exec) const {
     windowless_search<typename base::searched_rig> in{};
     in.rig = this->rig;
@@ -144,6 +145,7 @@ public:
     in.fixed = own.fixed;
     match_without_window(exec, in, settings.rules, own.state, own.windowless);
     propose_poses(exec, in, settings.rules, own.state, own.windowless);
+    refine_proposals(exec, in, settings.rules, own.state, own.windowless, this->pose_settings);
   }
   void choose_local(Exec const& exec) const {
     choose_local_map(exec, {memory.frame, own.state.mode, settings.local_map}, own.map, local_map(),

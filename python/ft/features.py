@@ -101,8 +101,11 @@ class ImageFeatures:
     def _rows(self, kind: str) -> object:
         """The descriptors as an odometry of that kind takes them."""
         rows = self.descriptors
-        if not isinstance(rows, np.ndarray) or kind == "orb":
+        if kind == "orb":
             return np.ascontiguousarray(rows) if isinstance(rows, np.ndarray) else rows
+        if not isinstance(rows, np.ndarray):
+            raise ValueError(f"descriptors of the features are a {type(rows).__name__}, must be a NumPy array for an odometry of "
+                             f"{kind}")
         if rows.ndim == 2 and len(rows) == 0:
             return np.zeros((0, 64 if kind == "bits_512" else 128), np.uint8)
         if kind == "bits_512":

@@ -153,18 +153,39 @@ struct far_numbers : ft::vector_descriptor<float, 64> {
 };
 
 TEST(search_scale, counts_floats_and_takes_what_is_no_number_for_the_farthest) {
-  using scale = ft::detail::search_scale<far_numbers>;  // 32 steps a unit, from -1
-  EXPECT_EQ(scale::of(-1.0f), 0);
+  using scale = ft::detail::search_scale<far_numbers>;  // 128 steps in 3
   EXPECT_EQ(scale::of(-1.1f), 0);
-  EXPECT_EQ(scale::of(0.0f), 32);
-  EXPECT_EQ(scale::of(0.03f), 32);
+  EXPECT_EQ(scale::of(0.0f), 0);
+  EXPECT_EQ(scale::of(0.03f), 1);
   EXPECT_EQ(scale::of(3.0f), 128);
-  EXPECT_EQ(scale::of(14.9f), 508);
-  for (float const v : {15.0f, 1e7f, std::numeric_limits<float>::infinity(),
-                        std::numeric_limits<float>::quiet_NaN()}) {
+  EXPECT_EQ(scale::of(11.9f), 507);
+  constexpr float infinity = std::numeric_limits<float>::infinity();
+  for (float const v :
+       {12.0f, 1e7f, infinity, -infinity, std::numeric_limits<float>::quiet_NaN()}) {
     EXPECT_EQ(scale::of(v), 510);
   }
   EXPECT_EQ(scale::limit(100), 200);
+}
+
+TEST(search_scale, tells_products_of_rows_apart) {
+  using of_bytes = ft::vector_descriptor<std::int8_t, 128, ft::dot_product>;
+  using bytes = ft::detail::search_scale<of_bytes>;
+  int const near = of_bytes::rules.near;
+  EXPECT_EQ(bytes::of(of_bytes::rules.least), 0);
+  EXPECT_EQ(bytes::of(near / 2), 63);
+  EXPECT_EQ(bytes::of(near), 128);
+  EXPECT_EQ(bytes::of(2 * near), 256);
+  EXPECT_EQ(bytes::of(of_bytes::rules.greatest), 510);
+  using floats = ft::detail::search_scale<ft::vector_descriptor<float, 64, ft::dot_product>>;
+  EXPECT_EQ(floats::of(-0.1f), 0);
+  EXPECT_EQ(floats::of(0.2450001f), 128);
+  EXPECT_EQ(floats::of(1.0f), 510);
+}
+
+TEST(search_scale, of_rows_that_do_not_keep_the_rules_stays_in_its_range) {
+  EXPECT_EQ(bits_scale<256>::of(-5), 0);
+  EXPECT_EQ(bits_scale<256>::of(std::numeric_limits<int>::max()), 256);
+  EXPECT_EQ(bits_scale<1024>::of(std::numeric_limits<int>::min()), 0);
 }
 
 }  // namespace own_descriptor_test

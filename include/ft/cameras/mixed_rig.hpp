@@ -83,6 +83,8 @@ struct mixed_rig_camera {
     int const origins = int{has_right_image} + int{has_depth_image} + int{right >= 0};
     detail::require(origins + int{left >= 0} <= 1,
                     "a camera of a mixed rig has depths of one origin, and a right one has none");
+    detail::require(used || (origins == 0 && left < 0),
+                    "a camera of a mixed rig that is not used has no other image");
     detail::require_finite("baseline", baseline);
     if (origins > 0) {
       detail::require_range("baseline", static_cast<float>(baseline), 1e-6f, 1e6f);

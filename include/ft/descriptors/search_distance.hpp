@@ -14,8 +14,9 @@ namespace detail {
 
 /// A search packs a candidate into 32 bits, 9 of which are its distance: an integer from 0 to 510.
 /// Integers that fit are taken as they are, so binary descriptors of up to 510 bits are compared
-/// exactly. Others are counted in steps of 1 / 128 of what the rules have between `least` and
-/// `near`, rounded down; what is four times as far, or no number, is 510.
+/// exactly. Others are counted in steps of 1 / 128 of `rules.near`, rounded down; below 0, as
+/// products of long rows may be, counts as 0; what is four times as far, infinite or no number, is
+/// 510.
 /// @tparam D a descriptor model
 template <typename D>
 struct search_scale {
@@ -33,21 +34,19 @@ struct search_scale {
     int const last = is_exact ? most : farthest - 1;  // 510 may be no number
     return scaled < last ? scaled : last;
   }
+  /// Also of rows that do not keep the rules, which may come from files.
   FT_HOST_DEVICE FT_INLINE static int of(distance_type d) {
+    static_assert(D::rules.near > 0, "what is near is above 0");
     if constexpr (is_exact) {
-      return d;
+      return d < 0 ? 0 : d < most ? d : most;
     } else if constexpr (std::is_same<distance_type, int>::value) {
-      constexpr long long least = D::rules.least;
-      constexpr long long unit = D::rules.near - least;
-      static_assert(unit > 0, "near is above least");
-      long long const steps = (d - least) * 128 / unit;
-      return steps < farthest ? static_cast<int>(steps) : farthest;
+      long long const steps = static_cast<long long>(d) * 128 / D::rules.near;
+      return steps < 0 ? 0 : steps < farthest ? static_cast<int>(steps) : farthest;
     } else {
-      constexpr float least = D::rules.least;
-      static_assert(D::rules.near > least, "near is above least");
-      constexpr float per_unit = 128.0f / (D::rules.near - least);
-      float const steps = ((strict_float(d) - strict_float(least)) * strict_float(per_unit)).value;
-      if (!(steps < static_cast<float>(farthest))) { return farthest; }  // NaN, too
+      if (!scalar::is_finite(strict_float(d))) { return farthest; }
+      constexpr float per_unit = 128.0f / D::rules.near;
+      float const steps = (strict_float(d) * strict_float(per_unit)).value;
+      if (!(steps < static_cast<float>(farthest))) { return farthest; }
       return steps > 0 ? static_cast<int>(steps) : 0;
     }
   }

@@ -128,9 +128,9 @@ struct read_rig_depth {
     }
     float const scale = camera.depth_scale > 0 ? camera.depth_scale : 1.0f;
     strict_float const d = strict_float(images.at(entry, round_away(x), round_away(y))) * scale;
+    auto const ray = camera.camera.template cast<strict_float>().unproject({x, y});
     bool const seen = d > 0.0f && d >= camera.min_depth && d <= camera.max_depth &&
-                      scalar::is_finite(d) &&
-                      camera.camera.template cast<strict_float>().unproject({x, y}).valid;
+                      scalar::is_finite(d) && ray.valid && ray.direction.z > 0.0f;
     if (!seen) { return; }
     strict_float const column = strict_float(x) - camera.bf() / d;
     out.depth(item) = geometry.level_depth(d.value, octave);

@@ -42,8 +42,10 @@ public:
     add("searched cameras", map.keyframes.cameras);
     add("keypoints of an image", map.keyframes.capacity);
     if (!describes_images) {
-      add("descriptor",
-          std::string(descriptor::name) + " of " + std::to_string(sizeof(descriptor)) + " bytes");
+      add("descriptor", std::string(descriptor::name) + " of " +
+                            std::to_string(sizeof(descriptor)) + " bytes, near " +
+                            std::to_string(descriptor::rules.near) + " of " +
+                            std::to_string(descriptor::rules.greatest));
     }
   }
 
@@ -167,6 +169,7 @@ private:
       if constexpr (is_mixed_v<multi_rig<N, Camera>>) {
         add(of + "right camera", std::to_string(camera.right));
         add(of + "depth image", std::string(camera.has_depth_image ? "yes" : "none"));
+        add(of + "depth scale", camera.depth_scale);
       }
     }
   }

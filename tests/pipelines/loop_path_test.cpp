@@ -302,6 +302,44 @@ TEST(LoopPath, ThinnedOutItsLoopsStayWhereTheyWere) {
   EXPECT_LT(std::abs(path.at(20).T_world_camera.t.x - path.at(20).T_odom_camera.t.x), 1e-6);
 }
 
+/// How far the loops are from the path in the world, at most.
+double misfit(loop_path const& path) {
+  double most = 0;
+  for (path_loop const& l : path.loops) {
+    auto const T = path.at(l.from).T_world_camera * l.T_from_to;
+    auto const d = T.t - path.at(l.to).T_world_camera.t;
+    double const scales = std::abs(std::log(T.scale / path.at(l.to).T_world_camera.scale));
+    most = std::max({most, std::sqrt(ft::dot(d, d)), scales});
+  }
+  return most;
+}
+/// A path whose odometry drifts is right in the world; thinned out, its loops are as right as
+/// before.
+void expect_no_drift_when_thinned(loop_path path) {
+  path.optimize(ft::host_exec());
+  double const before = misfit(path);
+  for (int round = 0; round < 5; ++round) {
+    path.thin([](int) {});
+  }
+  EXPECT_LT(path.size(), 45);
+  EXPECT_GE(path.loops.size(), at(4));
+  EXPECT_LT(misfit(path), before + 1e-9);
+}
+
+TEST(LoopPath, ThinnedOutOftenItsLoopsHaveNoDrift) {
+  constexpr int n = 100;
+  loop_path path = drifting_lap(n, 0.01);
+  for (int i = 0; i < 10; ++i) { path.loops.push_back(true_loop(3 * i, 99 - i, n)); }
+  expect_no_drift_when_thinned(path);
+}
+
+TEST(LoopPath, ThinnedOutOftenItsLoopsKeepTheirUnits) {
+  constexpr int n = 100;
+  loop_path path = growing_lap(n, 0.005);
+  for (int i = 0; i < 10; ++i) { path.loops.push_back(true_scaled_loop(3 * i, 99 - i, n, 0.005)); }
+  expect_no_drift_when_thinned(path);
+}
+
 TEST(LoopPath, NoLoopIsRefusedHoweverOftenItIsThinned) {
   loop_path path = drifting_lap(100, 0);
   path.reserve(200, 2);

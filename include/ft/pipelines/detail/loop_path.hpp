@@ -270,8 +270,7 @@ private:
   void move_loops() {
     for (path_loop& l : loops) {
       if (number(l.from) < 0 || number(l.to) < 0) { continue; }
-      l.T_from_to = with_scale(moved_to(l.from).inverse() * at(l.from).T_odom_camera) *
-                    l.T_from_to * with_scale(at(l.to).T_odom_camera.inverse() * moved_to(l.to));
+      l.T_from_to = motion(stand_in(l.from), l.from) * l.T_from_to * motion(l.to, stand_in(l.to));
     }
     for (path_loop& l : loops) {
       l.from = number(l.from);
@@ -322,9 +321,13 @@ private:
     e[4] = (T.R.m[2] - T.R.m[6]) / 4;
     e[5] = (T.R.m[3] - T.R.m[1]) / 4;
   }
-  /// Where the keyframe is tracked that stands for keyframe i afterwards: itself, or the one
-  /// before.
-  rigid<double> const& moved_to(int i) const { return at(stays(i) ? i : i - 1).T_odom_camera; }
+  /// The keyframe that stands for keyframe i afterwards: itself, or the one before.
+  int stand_in(int i) const { return stays(i) ? i : i - 1; }
+  /// As the path has it in the world: between keyframes that are far apart the odometry has
+  /// drifted.
+  similarity<double> motion(int from, int to) const {
+    return at(from).T_world_camera.inverse() * at(to).T_world_camera;
+  }
 
   std::vector<int> now_, held_;  ///< of thin()
 };

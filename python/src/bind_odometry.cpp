@@ -442,7 +442,7 @@ void bind_tracking(nb::module_& m) {
       .def_prop_ro(
           "T_odom_camera", [](tracking const& t) { return to_numpy(from_ft(t.of.T_odom_camera)); },
           "(4, 4) float64: the same as it was tracked, which never jumps where a loop is closed; "
-          "T_world_camera is T_world_odom @ T_odom_camera")
+          "T_world_camera is T_world_odom @ T_odom_camera, with its translation times odom_scale")
       .def_prop_ro(
           "T_world_odom", [](tracking const& t) { return to_numpy(from_ft(t.of.T_world_odom)); },
           "(4, 4) float64: what loops have corrected so far")

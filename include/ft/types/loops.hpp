@@ -51,6 +51,7 @@ struct loop_params {
 /// tell. With an IMU its keyframes are kept from when that has told the scale. That runs beside
 /// tracking, on a thread, and on a GPU on a stream of its own; the correction enters a number of
 /// frames later that depends on the number of keyframes alone, and a frame that comes sooner waits.
+/// Where a camera is looked for that was not found in a loaded map, that is one frame.
 /// The odometry itself is not changed: see tracking::T_odom_camera and T_world_odom. An exception
 /// of a search, such as bad_alloc, is thrown by the next track(), of which nothing has changed
 /// then.

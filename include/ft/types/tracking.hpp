@@ -114,9 +114,9 @@ struct tracking {
   /// body, of the first frame with a map. For a frame that was not tracked: where it is thought to
   /// be.
   rigid<double> T_world_camera = rigid<double>::identity();
-  /// With ft::loops T_world_camera is T_world_odom * T_odom_camera. T_odom_camera never jumps where
-  /// a loop is closed: it is the pose that the odometry tracks. T_world_odom is what loops have
-  /// corrected so far, REP 105's map to odom.
+  /// With ft::loops T_world_camera is T_world_odom * T_odom_camera, whose translation is in units
+  /// of odom_scale. T_odom_camera never jumps where a loop is closed: it is the pose that the
+  /// odometry tracks. T_world_odom is what loops have corrected so far, REP 105's map to odom.
   rigid<double> T_odom_camera = rigid<double>::identity();
   rigid<double> T_world_odom = rigid<double>::identity();
   /// With ft::loops and one camera without an IMU, whose unit of length drifts: how many units of

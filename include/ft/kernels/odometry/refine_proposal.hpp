@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
 #include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -121,7 +122,8 @@ private:
                                             windowless_search<Rig> const& in,
                                             rigid<strict_float> const& T_cw, int camera,
                                             anchors const& from, map_points_view const& points) {
-    int sum = 0, seen = 0;
+    std::int64_t sum = 0;
+    int seen = 0;
     for (int i = g.rank(); i < in.frame.capacity(); i += g.size()) {
       int const slot = from.slot(camera * in.frame.capacity() + i);
       if (slot < 0) { continue; }
@@ -151,7 +153,7 @@ private:
   }
 
   static constexpr int variance_one = 1024;
-  static constexpr int most_variance = 64;  ///< pixels^2; a sum of these has room for all keypoints
+  static constexpr int most_variance = 64;  ///< pixels^2
 
   /// Variance of a pixel, the sum of both directions' halved, in 1 / variance_one: so that all
   /// executors have the same sum.

@@ -60,6 +60,7 @@ public:
   void after_frame(Exec const& exec, stages_type const& stages) override {
     odometry_output const& out = stages.own.outputs[0];
     ++frame_;
+    map_ = out.maps;
     closed_now_ = 0;
     if (running_ && frame_ == ends_) { finish(); }
     bool const kept = out.keyframe != 0 || (seeks() && out.state == tracking_state::tracking);
@@ -75,18 +76,25 @@ public:
   }
   void describe(int, std::int64_t, tracking& t) override {
     if (t.metric) { metric_map_ = t.maps; }
-    if (t.imu.known && of_first_part()) { path_.gravity = T_world_odom_.R * t.imu.gravity; }
+    if (t.imu.known && of_first_part() && of_path(t.maps)) {
+      path_.gravity = T_world_odom_.R * t.imu.gravity;
+    }
     tell_correction(t);
     if (corrected_) { t.T_world_camera = without_scale(in_world(t.T_odom_camera)); }
     t.loops_closed = closed_now_;
   }
   void reset(int) override { forget_all(); }
   void save(Exec const& exec, std::ostream& to) const override {
+    require(!awaits_scale_ || of_path(map_),
+            "the map is not saved: its scale is not known yet, and the places before it have one");
     save_loops(exec, archive_.view(), path_, to);
   }
   void read(std::istream* from) override {
     saved_.reset();
     if (from == nullptr) { return; }
+    require(!awaits_scale_,
+            "the map is not loaded: one camera with an IMU would find its scale anew, beside saved "
+            "places");
     saved_ = std::make_unique<saved_loops<Exec>>(
         read_loops<Exec>(archive_.view(),
                          {params_.keyframes + margin / 2, path_.most_loops(),
@@ -114,6 +122,9 @@ private:
   bool of_first_part() const {
     return path_.size() == 0 || path_.keyframes.back().part == path_.keyframes.front().part;
   }
+  /// Whether keyframes of this map are kept: those of one camera with an IMU are once it has a
+  /// scale.
+  bool of_path(int map) const { return path_.size() == 0 || path_.keyframes.back().map == map; }
   /// Whether the camera is in a map that it began because it was not found in a loaded one, which
   /// has number 1: then each frame is looked for, of the first ones.
   bool seeks() const {
@@ -231,6 +242,7 @@ private:
   similarity<double> T_world_odom_ = similarity<double>::identity();
   bool awaits_scale_ = false;  ///< one camera, whose IMU tells the scale of each map
   int metric_map_ = 0;         ///< number of the last map whose scale was known
+  int map_ = 0;                ///< number of the current one
   long long frame_ = 0;
   long long ends_ = 0;  ///< frame with which the search in progress ends
   int run_ = 0;

@@ -120,7 +120,7 @@ FT_HOST_DEVICE bool draw_pose(Group g, seen_matches<Rig> const& matches, counter
                               rigid<double>& to) {
   constexpr int hypotheses = 256;
   constexpr int none = 1 << 30;  // cost of a hypothesis that there is not
-  rigid<strict_double> T, best_T = rigid<strict_double>::identity();
+  auto T = rigid<strict_double>::identity(), best_T = T;
   int best = none, best_number = none;
   for (int h = g.rank(); h < hypotheses; h += g.size()) {
     if (!pose_of_three(matches, draws, h, T)) { continue; }

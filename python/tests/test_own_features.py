@@ -172,6 +172,19 @@ def test_other_descriptors_that_are_refused(kind, rows, word):
         odometry(descriptors=kind).track_features(ft.ImageFeatures([[1, 2], [3, 4]], rows), 1)
 
 
+@pytest.mark.parametrize("kind", ["bits_512", "int8_128"])
+def test_tensors_of_other_descriptors_are_refused(kind):
+    class Tensor:
+        """Of uint8, as torch has: nobody would take 128 from the bytes of SIFT."""
+
+        def __init__(self, array):
+            self.__dlpack__, self.__dlpack_device__, self.shape = array.__dlpack__, array.__dlpack_device__, array.shape
+
+    features = ft.ImageFeatures(np.zeros((2, 2), np.float32), Tensor(np.zeros((2, 128), np.uint8)))
+    with pytest.raises(ValueError, match="must be a NumPy array"):
+        features._rows(kind)
+
+
 def test_what_other_descriptors_have_not(walk, matches, tmp_path):
     other = odometry(descriptors="bits_512")
     none = ft.ImageFeatures(np.zeros((0, 2)), np.zeros((0, 32), np.uint8))

@@ -142,6 +142,14 @@ protected:
 };
 TYPED_TEST_SUITE(rig_depths, test::backends);
 
+TEST(mixed_rig_camera, not_used_has_no_other_image) {
+  ft::mixed_rig_camera camera = ft::mixed_rig_camera::none();
+  EXPECT_NO_THROW(camera.check());
+  camera.has_depth_image = true;
+  camera.baseline = 0.1;
+  EXPECT_THROW(camera.check(), ft::bad_argument);
+}
+
 TYPED_TEST(rig_depths, of_a_pair_are_those_of_match_stereo_fisheye) {
   auto const& exec = this->backend.exec;
   auto const geometry = this->geometry_of(false);

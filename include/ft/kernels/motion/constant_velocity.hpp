@@ -110,7 +110,7 @@ public:
     for_each_pose([&](rigid<real> const& T_cw) { out.T_cw[out.count++] = T_cw; });
     return out;
   }
-  /// visit(T_cw) of each. Room for all of them were local memory on a device.
+  /// visit(T_cw) of each. Room for all of them would be local memory on a device.
   template <typename Visit>
   FT_HOST_DEVICE void for_each_pose(Visit const& visit) const {
     pencil const p = degenerate_form();

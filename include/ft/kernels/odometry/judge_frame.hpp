@@ -104,7 +104,7 @@ struct judge_camera_frame {
                            : false;
     keypoint_counts const counts = release_and_count(g, b, in, rules.near_depth, found);
     g.sync();
-    // In place: a copy of its own were local memory of each thread that the device can hold.
+    // In place: a copy would be local memory, of every thread that the device can hold.
     if (g.rank() == 0) { decide(state.tracks[b], b, found, counts, rules, in, state); }
   }
 

@@ -71,6 +71,19 @@
 #define FT_INLINE inline
 #endif
 
+/// FT_STAGES_ELSEWHERE, defined before ft is included: the unit calls stages, which are most of
+/// what a compiler makes of ft, but does not compile them. Another unit of the program has to call
+/// the same stages without it, or the static library ft::odometry does; the linker names those that
+/// nobody has. FT_OUT_OF_LINE marks what such a unit calls: compiled as it is written, for any
+/// caller.
+#if defined(__clang__)
+#define FT_OUT_OF_LINE __attribute__((noinline))
+#elif defined(__GNUC__)
+#define FT_OUT_OF_LINE __attribute__((noipa))
+#else
+#define FT_OUT_OF_LINE
+#endif
+
 #if defined(__CUDA_ARCH__)
 #define FT_UNROLL _Pragma("unroll")
 #define FT_NO_UNROLL _Pragma("unroll 1")

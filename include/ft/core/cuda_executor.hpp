@@ -82,13 +82,19 @@ inline cuda_exec with_order(cuda_exec const& exec, launch_order order) {
 
 /// Enqueues op(group, scratch, item, args...) for every item in [0, items). Items are independent.
 template <typename Shape, typename Op, typename... Args>
-FT_HIDDEN void for_each_item(cuda_exec const& exec, int items, Op const& op, Args const&... args) {
+FT_HIDDEN FT_OUT_OF_LINE void for_each_item(cuda_exec const& exec, int items, Op const& op,
+                                            Args const&... args)
+#if defined(FT_STAGES_ELSEWHERE)
+    ;
+#else
+{
   if (items > 0) {
     detail::launch<Shape>::run({exec.stream, detail::launch_access::programmatic(exec),
                                 detail::launch_access::order(exec)},
                                items, op, args...);
   }
 }
+#endif
 
 /// All shared memory of a multiprocessor if each block has one to itself, else a share that leaves
 /// room for several blocks.

@@ -147,7 +147,12 @@ private:
 
 /// Runs op(group, scratch, item, args...) for every item in [0, items). Items are independent.
 template <typename Shape, typename Op, typename... Args>
-void for_each_item(host_exec const& exec, int items, Op const& op, Args const&... args) {
+FT_OUT_OF_LINE void for_each_item(host_exec const& exec, int items, Op const& op,
+                                  Args const&... args)
+#if defined(FT_STAGES_ELSEWHERE)
+    ;
+#else
+{
   if constexpr (detail::stage_traits<Op>::wide_on_host && FT_HAS_WIDE) {
     if (detail::has_wide_vectors()) {
       exec.parallel_for(items, [&](int item) { detail::run_wide(op, item, args...); });
@@ -156,6 +161,7 @@ void for_each_item(host_exec const& exec, int items, Op const& op, Args const&..
   }
   exec.parallel_for(items, [&](int item) { detail::run_plain(op, item, args...); });
 }
+#endif
 
 namespace detail {
 

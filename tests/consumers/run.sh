@@ -153,22 +153,21 @@ heading install
 prefix=$work/prefix
 quietly cmake --install "$build" --prefix "$prefix"
 
-# OFF: C++ and ft::ft; LINKED: C++ and ft::cuda, the CUDA language not enabled; ON: CUDA and ft::cuda
-modes=(OFF)
 if [[ $cuda == ON ]]; then
-  modes+=(LINKED ON)
   consume example cuda -DFT_SOURCE_DIR="$ft_root" -DUSE_CUDA=ON -DCMAKE_CUDA_FLAGS="$fast"  # the longest first
 fi
 consume example host -DCMAKE_PREFIX_PATH="$prefix"
 consume several_units -DCMAKE_PREFIX_PATH="$prefix"
-# An installed ft with C++17 and C++20, one in the tree with C++17; LINKED, which compiles what OFF does, once.
-for mode in "${modes[@]}"; do
-  consume cmake_consumer find_package "$mode" "$([[ $mode == ON ]] && echo 20 || echo 17)" -DCMAKE_PREFIX_PATH="$prefix"
-  if [[ $mode != LINKED ]]; then consume cmake_consumer add_subdirectory "$mode" 17 -DFT_SOURCE_DIR="$ft_root"; fi
-done
+# OFF: C++ and ft::ft; LINKED: C++ and ft::cuda, the CUDA language not enabled; ON: CUDA and ft::cuda. An installed ft
+# in all modes, with C++20 where C++17 is another consumer's; one in the tree with and without CUDA.
 consume cmake_consumer find_package OFF 20 -DCMAKE_PREFIX_PATH="$prefix"
+if [[ $cuda == ON ]]; then
+  consume cmake_consumer find_package LINKED 17 -DCMAKE_PREFIX_PATH="$prefix"
+  consume cmake_consumer find_package ON 20 -DCMAKE_PREFIX_PATH="$prefix"
+fi
+consume cmake_consumer add_subdirectory "$cuda" 17 -DFT_SOURCE_DIR="$ft_root"
+consume cmake_consumer fetch_content OFF 17 -DFT_SOURCE_DIR="$ft_root"
 consume cmake_consumer orbslam3 "$cuda" 17 -DCMAKE_PREFIX_PATH="$prefix"
-consume cmake_consumer fetch_content "$cuda" 17 -DFT_SOURCE_DIR="$ft_root"  # then a subdirectory as well
 consume plain_include
 if [[ $cuda == ON ]]; then consume plain_include_nvcc; fi
 if command -v pkg-config >/dev/null; then consume by_pkg_config; fi

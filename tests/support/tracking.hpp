@@ -23,14 +23,19 @@ inline std::uint8_t texture_at(std::vector<std::uint8_t> const& texture, int sid
   int const y = static_cast<int>(t);
   double const fx = s - x;
   double const fy = t - y;
-  auto const texel = [&](int i, int j) {
-    return static_cast<double>(
-        texture[static_cast<std::size_t>(j % side) * static_cast<std::size_t>(side) +
-                static_cast<std::size_t>(i % side)]);
+  auto const wrapped = [&](int i) {
+    return static_cast<std::size_t>(i) % static_cast<std::size_t>(side);
   };
-  return static_cast<std::uint8_t>(
-      std::lround((1 - fx) * (1 - fy) * texel(x, y) + fx * (1 - fy) * texel(x + 1, y) +
-                  (1 - fx) * fy * texel(x, y + 1) + fx * fy * texel(x + 1, y + 1)));
+  auto const next = [&](std::size_t i) {
+    return i + 1 == static_cast<std::size_t>(side) ? 0 : i + 1;
+  };
+  std::size_t const column = wrapped(x), right = next(column), line = wrapped(y);
+  std::uint8_t const* const above = texture.data() + line * static_cast<std::size_t>(side);
+  std::uint8_t const* const below = texture.data() + next(line) * static_cast<std::size_t>(side);
+  double const grey = (1 - fx) * (1 - fy) * above[column] + fx * (1 - fy) * above[right] +
+                      (1 - fx) * fy * below[column] + fx * fy * below[right];
+  int const whole = static_cast<int>(grey);
+  return static_cast<std::uint8_t>(grey - whole < 0.5 ? whole : whole + 1);
 }
 
 /// A copy of a tracker's result, one batch entry.

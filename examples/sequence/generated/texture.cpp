@@ -176,20 +176,6 @@ mip_level halved(mip_level const& from) {
 
 }  // namespace
 
-float mip_level::bilinear(float x, float y) const {
-  x = std::min(std::max(x, 0.0f), static_cast<float>(width - 1));
-  y = std::min(std::max(y, 0.0f), static_cast<float>(height - 1));
-  int const ix = static_cast<int>(x);
-  int const iy = static_cast<int>(y);
-  float const fx = x - static_cast<float>(ix);
-  float const fy = y - static_cast<float>(iy);
-  std::uint8_t const* p = texels.data() + static_cast<std::size_t>(iy) * stride + ix;
-  std::uint8_t const* q = p + stride;
-  float const top = static_cast<float>(p[0]) + fx * static_cast<float>(p[1] - p[0]);
-  float const bottom = static_cast<float>(q[0]) + fx * static_cast<float>(q[1] - q[0]);
-  return top + fy * (bottom - top);
-}
-
 float texture::sample(float x, float y, footprint const& f) const {
   float sum = 0;
   float const halved = 0.5f * static_cast<float>(f.taps - 1);

@@ -2,6 +2,7 @@
 /// @file Textures of random shapes, at all resolutions.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -29,8 +30,21 @@ struct mip_level {
     for (int y = 0; y < height; ++y) { row(y)[width] = row(y)[width - 1]; }
     std::memcpy(row(height), row(height - 1), stride);
   }
-  /// @param x, y texel centres are at integer coordinates
-  float bilinear(float x, float y) const;
+  /// Inline: in a shared library the compiler may not inline others. @param x, y texel centres are
+  /// at integer coordinates
+  float bilinear(float x, float y) const {
+    x = std::min(std::max(x, 0.0f), static_cast<float>(width - 1));
+    y = std::min(std::max(y, 0.0f), static_cast<float>(height - 1));
+    int const ix = static_cast<int>(x);
+    int const iy = static_cast<int>(y);
+    float const fx = x - static_cast<float>(ix);
+    float const fy = y - static_cast<float>(iy);
+    std::uint8_t const* p = row(iy) + ix;
+    std::uint8_t const* q = p + stride;
+    float const top = static_cast<float>(p[0]) + fx * static_cast<float>(p[1] - p[0]);
+    float const bottom = static_cast<float>(q[0]) + fx * static_cast<float>(q[1] - q[0]);
+    return top + fy * (bottom - top);
+  }
 };
 
 /// Position and width of a texture read; computed once for a few neighbouring pixels.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The executors that the shim's tests run on. The tests see the interface alone: the host's
-/// side is compiled once, in host_backend.cpp, the device's in cuda_backend.cu, and executors.cpp
-/// has those that the program was built with.
+/// side is compiled once, in host_maker.cpp, the device's in cuda_backend.cu, and executors.cpp
+/// has the one that the program was built with.
 #pragma once
 
 #include <gtest/gtest.h>

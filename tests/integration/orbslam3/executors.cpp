@@ -23,9 +23,10 @@ void on_executor::SetUp() {
 
 std::unique_ptr<ft::orbslam3::device_tracker> on_executor::make(ft::orbslam3::settings const& s) {
 #if FT_TEST_CUDA
-  if (GetParam() == "cuda") { return make_cuda(s); }
-#endif
+  return make_cuda(s);
+#else
   return make_host(s);
+#endif
 }
 
 std::vector<std::string> executors() {

@@ -144,6 +144,8 @@ public:
       right.all();
       right.no_partners();
     }
+    require_reachable(given.left);
+    if (images_ > 1 && !has_partners) { require_reachable(given.right); }
     write(images_ * b, given.left);
     if (!given.left.on_device) { write_partners(b, given.left); }
     if (images_ > 1) { write(images_ * b + 1, has_partners ? image_features{} : given.right); }
@@ -155,6 +157,16 @@ private:
     image_features* given;
   };
 
+  /// Arrays in executor memory.
+  static void require_reachable(image_features const& from) {
+    void const* const arrays[] = {from.positions, from.descriptors, from.octave,  from.deviation,
+                                  from.angle,     from.score,       from.right_x, from.depth};
+    for (void const* const array : arrays) {
+      require(!from.on_device || from.count == 0 || array == nullptr ||
+                  Exec::host_address(array) != nullptr,
+              "image_features::on_device: an array is not in memory that the device reads");
+    }
+  }
   /// The indices of those that are taken, ascending, in best_. @return their number
   int choose(image_features const& from) {
     int const capacity = view().keypoints.capacity;

@@ -156,7 +156,7 @@ class ImageFeatures:
         def floats(name: str) -> object:
             values = _on_host(given[name])
             try:
-                return None if values is None else np.ascontiguousarray(values, np.float32)  # type: ignore[call-overload]
+                return None if values is None else np.ascontiguousarray(values, np.float32)
             except (TypeError, ValueError):
                 raise ValueError(f"{name} of the features is no array of numbers") from None
 

@@ -49,9 +49,29 @@ class Keypoints:
         return points, self.descriptors
 
 
+Column = Union[ArrayLike, Array]
+
+
+def _is_on_device(values: object) -> bool:
+    """Whether an array says that it lies elsewhere than on the host."""
+    device = getattr(values, "__dlpack_device__", None)
+    return device is not None and not isinstance(values, np.ndarray) and int(device()[0]) not in (1, 3)  # kDLCPU, kDLCUDAHost
+
+
+def _on_host(values: object) -> object:
+    """An array of NumPy of one that NumPy knows by __dlpack__ alone, else as it is."""
+    by_protocol = hasattr(values, "__dlpack_device__") and not hasattr(values, "__array__")
+    return np.from_dlpack(values) if by_protocol else values  # type: ignore[arg-type]
+
+
 @dataclass
 class ImageFeatures:
     """Keypoints of an image from any detector, n of them, for Odometry.track_features().
+
+    On the host anything that NumPy takes. Or all arrays lie on the GPU of the Odometry (__dlpack__, such as tensors of PyTorch):
+    they are read there, on `stream`, without a copy, and are contiguous and float32; octave int32; descriptors uint8 (n, 32),
+    of bits_512 uint8 (n, 64), of int8_128 int8 (n, 128). What is there cannot be told of before: keypoints with a number out of
+    range raise nothing, they are left out.
 
     positions: (n, 2) column and row, pixels, in the image; 0 is the middle of the first pixel. descriptors: (n, 32) uint8,
     compared by their Hamming distance, or those of Odometry(descriptors=...). octave: (n) pyramid levels; positions have a
@@ -64,14 +84,14 @@ class ImageFeatures:
     level times its scale, as those of OpenCV's ORB, OrbExtractor and Odometry.keypoints() are; no difference on octave 0.
     """
 
-    positions: ArrayLike
-    descriptors: Union[NDArray[np.uint8], NDArray[np.int8], NDArray[np.float32]]
-    octave: Optional[ArrayLike] = None
-    angle: Optional[ArrayLike] = None
-    score: Optional[ArrayLike] = None
-    deviation: Optional[ArrayLike] = None
-    right_x: Optional[ArrayLike] = None
-    depth: Optional[ArrayLike] = None
+    positions: Column
+    descriptors: Union[NDArray[np.uint8], NDArray[np.int8], NDArray[np.float32], Array]
+    octave: Optional[Column] = None
+    angle: Optional[Column] = None
+    score: Optional[Column] = None
+    deviation: Optional[Column] = None
+    right_x: Optional[Column] = None
+    depth: Optional[Column] = None
     level_positions: bool = False
 
     @staticmethod
@@ -100,12 +120,12 @@ class ImageFeatures:
 
     def _rows(self, kind: str) -> object:
         """The descriptors as an odometry of that kind takes them."""
-        rows = self.descriptors
+        rows = _on_host(self.descriptors)
         if kind == "orb":
             return np.ascontiguousarray(rows) if isinstance(rows, np.ndarray) else rows
         if not isinstance(rows, np.ndarray):
-            raise ValueError(f"descriptors of the features are a {type(rows).__name__}, must be a NumPy array for an odometry of "
-                             f"{kind}")
+            raise ValueError(f"descriptors of the features are a {type(rows).__name__}, must be a NumPy array, or on the GPU, "
+                             f"for an odometry of {kind}")
         if rows.ndim == 2 and len(rows) == 0:
             return np.zeros((0, 64 if kind == "bits_512" else 128), np.uint8)
         if kind == "bits_512":
@@ -124,22 +144,30 @@ class ImageFeatures:
         return np.ascontiguousarray(whole ^ np.uint8(128))  # the bytes of int8, 128 less
 
     def _arrays(self, kind: str = "orb") -> dict[str, object]:
+        columns = ("positions", "angle", "score", "deviation", "right_x", "depth")
+        given = {name: getattr(self, name) for name in (*columns, "octave", "descriptors")}
+        there = [name for name, values in given.items() if _is_on_device(values)]
+        if there:
+            here = [name for name, values in given.items() if values is not None and name not in there]
+            if here:
+                raise ValueError(f"{there[0]} of the features is on a device, {here[0]} on the host: must be in one place")
+            return {**given, "level_positions": bool(self.level_positions), "on_device": True, "is_signed": kind == "int8_128"}
+
         def floats(name: str) -> object:
-            values = getattr(self, name)
+            values = _on_host(given[name])
             try:
                 return None if values is None else np.ascontiguousarray(values, np.float32)
             except (TypeError, ValueError):
                 raise ValueError(f"{name} of the features is no array of numbers") from None
 
-        octave = None if self.octave is None else np.asarray(self.octave)
+        octave = None if self.octave is None else np.asarray(_on_host(self.octave))
         if octave is not None and octave.size > 0 and octave.dtype.kind not in "iu":
             raise ValueError(f"octave of the features is {octave.dtype}, must be whole numbers")
-        columns = ("positions", "angle", "score", "deviation", "right_x", "depth")
         return {
             **{name: floats(name) for name in columns},
             "octave": None if octave is None else np.ascontiguousarray(octave.clip(-1, 127), np.int32),
             "descriptors": self._rows(kind),
-            "level_positions": bool(self.level_positions),
+            "level_positions": bool(self.level_positions), "on_device": False,
         }
 
 

@@ -105,6 +105,10 @@ class Odometry:
     def track(self, *images: Union[Sequence[Array], Sequence[int]], time_ns: Optional[Sequence[int]] = None,
               stream: Optional[StreamLike] = None) -> list[_ft.Tracking]: ...
 
+    @overload
+    def track(self, *images: Union[ImageFeatures, int], time_ns: Optional[int] = None,
+              stream: Optional[StreamLike] = None) -> _ft.Tracking: ...
+
     def track(self, *images: object, time_ns: object = None,
               stream: Optional[StreamLike] = None) -> Union[_ft.Tracking, list[_ft.Tracking]]:
         """Tracks a frame, and returns ft.Tracking.
@@ -119,7 +123,11 @@ class Odometry:
         rows are multiples of 16 bytes. stream: the CUDA stream that writes them, see ft.Stream. Raises
         ValueError for another number, shape, type, place or time; then nothing has changed. Warns once if most depths are
         beyond 1000 baselines, as those of a wrong unit are.
+
+        track(features, time_ns) with ImageFeatures is track_features().
         """
+        if images and isinstance(images[0], ImageFeatures):
+            return self.track_features(*images, time_ns=time_ns, stream=stream)  # type: ignore[call-overload,no-any-return]
         if time_ns is None:
             if not images:
                 raise ValueError("track() has no arguments, needs images and time_ns")
@@ -136,19 +144,23 @@ class Odometry:
         return tracked[0] if single else tracked
 
     @overload
-    def track_features(self, *features: Union[ImageFeatures, int], time_ns: Optional[int] = None) -> _ft.Tracking: ...
+    def track_features(self, *features: Union[ImageFeatures, int], time_ns: Optional[int] = None,
+                       stream: Optional[StreamLike] = None) -> _ft.Tracking: ...
 
     @overload
     def track_features(self, *features: Union[Sequence[ImageFeatures], Sequence[int]],
-                       time_ns: Optional[Sequence[int]] = None) -> list[_ft.Tracking]: ...
+                       time_ns: Optional[Sequence[int]] = None,
+                       stream: Optional[StreamLike] = None) -> list[_ft.Tracking]: ...
 
-    def track_features(self, *features: object, time_ns: object = None) -> Union[_ft.Tracking, list[_ft.Tracking]]:
+    def track_features(self, *features: object, time_ns: object = None,
+                       stream: Optional[StreamLike] = None) -> Union[_ft.Tracking, list[_ft.Tracking]]:
         """Tracks a frame by keypoints of any detector, and returns ft.Tracking. Needs own_features.
 
         track_features(left, right, time_ns) of a RectifiedPair: partners are found by descriptors, columns are those given.
         track_features(image, time_ns) with right_x or depth of a RectifiedPair, with depth of an RgbdCamera, or of a
         MonocularCamera; each is an ImageFeatures. With batch > 1 each is a sequence with an item for each rig, and a list is
-        returned. Other rigs take none. Mixes with track(). Raises ValueError for arrays of other shapes and types, numbers
+        returned. Other rigs take none. Mixes with track(). stream: the CUDA stream that writes arrays on the GPU, see ft.Stream.
+        Raises ValueError for arrays of other shapes and types, numbers
         out of range, or a time that is not later; then nothing has changed.
         """
         if time_ns is None:
@@ -162,7 +174,7 @@ class Odometry:
             if not isinstance(f, ImageFeatures):
                 raise ValueError(f"features are {type(f).__name__}, must be ft.ImageFeatures")
         tracked = self._pipeline.track_features([[f._arrays(self._descriptors) for f in frame] for frame in frames],
-                                                [time_ns] if single else time_ns)
+                                                [time_ns] if single else time_ns, handle_of(stream))
         return tracked[0] if single else tracked
 
     def add_imu(self, time_ns: int, accel: ArrayLike, gyro: ArrayLike, b: int = 0) -> None:

@@ -63,32 +63,36 @@ public:
   explicit arrays(bool gpu = false) : gpu_(gpu) {}
   bool on_device() const { return on_device_; }  ///< whether one of them does
 
-  /// @throws argument_error naming what is wrong with it
-  any_array take(nb::handle given, std::string const& name) {
+  /// @param there on the device @throws argument_error naming what is wrong with it
+  any_array take(nb::handle given, std::string const& name, bool there = false) {
     any_array a;
     if (given.is_none() || !nb::try_cast(given, a)) {
       throw argument_error(name + " is not an array: it must be a NumPy array, or have __dlpack__");
     }
     kept_.push_back(a);
+    if (there) { require_place(a, name); }
     return a;
   }
   image gray(nb::handle given, std::string const& name) { return bytes(given, name, false); }
   /// As gray(), or what a comparison gives: bool.
   image mask(nb::handle given, std::string const& name) { return bytes(given, name, true); }
   /// Of n rows, which may be none, without gaps. @return the first one, and n in `rows`
-  std::uint8_t const* rows_of_bytes(nb::handle given, std::string const& name, int columns,
-                                    int& rows) {
-    any_array const a = take(given, name);
-    bool const fits = a.ndim() == 2 && a.dtype() == nb::dtype<std::uint8_t>() &&
-                      a.shape(1) == static_cast<std::size_t>(columns) &&
-                      (a.shape(0) < 2 || a.stride(0) == columns) &&
-                      (a.shape(0) < 1 || a.stride(1) == 1);
-    if (!fits || a.device_type() != nb::device::cpu::value) {
-      throw argument_error(name + " must be a uint8 array of shape (n, " + std::to_string(columns) +
-                           ") without gaps, on the host");
+  /// @param is_signed int8 in place of uint8 @param there on the device
+  void const* rows_of_bytes(nb::handle given, std::string const& name, int columns, int& rows,
+                            bool is_signed = false, bool there = false) {
+    any_array const a = take(given, name, there);
+    bool const fits =
+        a.ndim() == 2 &&
+        a.dtype() == (is_signed ? nb::dtype<std::int8_t>() : nb::dtype<std::uint8_t>()) &&
+        a.shape(1) == static_cast<std::size_t>(columns) &&
+        (a.shape(0) < 2 || a.stride(0) == columns) && (a.shape(0) < 1 || a.stride(1) == 1);
+    if (!fits || !lies(a, there)) {
+      throw argument_error(name + " must be a" + (is_signed ? "n int8" : " uint8") +
+                           " array of shape (n, " + std::to_string(columns) +
+                           ") without gaps, on " + place_name(there));
     }
     rows = length(static_cast<std::int64_t>(a.shape(0)), name, "number of rows");
-    return static_cast<std::uint8_t const*>(a.data());
+    return a.data();
   }
   /// Of a given size, which can be written.
   rectified_image written(nb::handle given, std::string const& name, int width, int height) {
@@ -124,11 +128,11 @@ public:
                         std::initializer_list<std::size_t> shape) {
     return numbers<double>(given, name, "float64", shape);
   }
-  /// The same of any type. @param type its name
+  /// The same of any type. @param type its name @param there on the device
   template <typename T>
   T const* numbers(nb::handle given, std::string const& name, char const* type,
-                   std::initializer_list<std::size_t> shape) {
-    any_array const a = take(given, name);
+                   std::initializer_list<std::size_t> shape, bool there = false) {
+    any_array const a = take(given, name, there);
     bool same = a.ndim() == shape.size() && a.dtype() == nb::dtype<T>();
     std::size_t n = 1;
     std::size_t i = 0;
@@ -142,11 +146,11 @@ public:
       step /= static_cast<std::int64_t>(a.shape(i));
       same = a.stride(i) == step || a.shape(i) == 1;
     }
-    if (!same || a.device_type() != nb::device::cpu::value) {
+    if (!same || !lies(a, there)) {
       std::string text;
       for (std::size_t const s : shape) { text += (text.empty() ? "" : ", ") + std::to_string(s); }
       throw argument_error(name + " must be a " + type + " array of shape (" + text +
-                           ") without gaps, on the host");
+                           ") without gaps, on " + place_name(there));
     }
     return static_cast<T const*>(a.data());
   }
@@ -182,6 +186,10 @@ public:
   }
 
 private:
+  static bool lies(any_array const& a, bool there) {
+    return a.device_type() == (there ? nb::device::cuda::value : nb::device::cpu::value);
+  }
+  static char const* place_name(bool there) { return there ? "the GPU" : "the host"; }
   image bytes(nb::handle given, std::string const& name, bool or_bool) {
     any_array const a = take(given, name);
     if (a.ndim() != 2) {

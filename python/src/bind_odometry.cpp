@@ -155,14 +155,18 @@ public:
     });
   }
   /// @param given sequences of the features of a rig, each a dict of arrays or None
-  std::vector<tracking> track_features(nb::sequence const& given, nb::handle at) {
-    arrays kept;
+  std::vector<tracking> track_features(nb::sequence const& given, nb::handle at,
+                                       std::uintptr_t stream) {
+    arrays kept(gpu_);
     std::vector<std::int64_t> const time_ns = times(at, "time_ns");
     std::vector<ft::given_features> const features =
         given_features_of(kept, given, batch_ > 1, descriptor_bytes_);
     require_number(features.size(), time_ns.size(), static_cast<std::size_t>(batch_));
     nb::gil_scoped_release const released;
-    return translated([&] { return described(inner_->track(features.data(), time_ns.data())); });
+    return translated([&] {
+      wait_for(kept, stream);
+      return described(inner_->track(features.data(), time_ns.data()));
+    });
   }
   std::vector<std::int64_t> track_timed(nb::sequence const& given, nb::handle at,
                                         std::uintptr_t stream) {
@@ -594,7 +598,7 @@ void bind_odometry(nb::module_& m) {
       .def("track", &bound_odometry::track, nb::arg("images"), nb::arg("time_ns").none(),
            nb::arg("stream") = 0)
       .def("track_features", &bound_odometry::track_features, nb::arg("features"),
-           nb::arg("time_ns").none())
+           nb::arg("time_ns").none(), nb::arg("stream") = 0)
       .def("track_timed", &bound_odometry::track_timed, nb::arg("images"),
            nb::arg("time_ns").none(), nb::arg("stream") = 0,
            "track() of several frames in turn, for the bench: what each took in C++, nanoseconds.")

@@ -11,21 +11,25 @@
 
 namespace ftpy {
 
-/// @param given a dict of arrays; those that are missing are None
+/// @param given a dict of arrays, all on the device or none; those that are missing are None
 /// @param bytes of a descriptor
 inline ft::image_features image_features_of(arrays& kept, nb::handle given,
                                             std::string const& image, int bytes) {
   std::string const of = " of the features of " + image;
   ft::image_features f;
   f.descriptor_bytes = bytes;
-  f.descriptors =
-      kept.rows_of_bytes(given["descriptors"], "descriptors" + of, f.descriptor_bytes, f.count);
+  bool const there = nb::cast<bool>(given["on_device"]);
+  f.descriptors = kept.rows_of_bytes(given["descriptors"], "descriptors" + of, f.descriptor_bytes,
+                                     f.count, there && nb::cast<bool>(given["is_signed"]), there);
+  f.on_device = there;
   auto const n = static_cast<std::size_t>(f.count);
   std::string const many = of + ", as many as descriptors,";
-  f.positions = kept.numbers<float>(given["positions"], "positions" + many, "float32", {n, 2});
+  f.positions =
+      kept.numbers<float>(given["positions"], "positions" + many, "float32", {n, 2}, there);
   auto const column = [&](char const* name) -> float const* {
     nb::object const values = given[name];
-    return values.is_none() ? nullptr : kept.numbers<float>(values, name + many, "float32", {n});
+    return values.is_none() ? nullptr
+                            : kept.numbers<float>(values, name + many, "float32", {n}, there);
   };
   f.angle = column("angle");
   f.score = column("score");
@@ -33,7 +37,9 @@ inline ft::image_features image_features_of(arrays& kept, nb::handle given,
   f.right_x = column("right_x");
   f.depth = column("depth");
   nb::object const octave = given["octave"];
-  if (!octave.is_none()) { f.octave = kept.numbers<int>(octave, "octave" + many, "int32", {n}); }
+  if (!octave.is_none()) {
+    f.octave = kept.numbers<int>(octave, "octave" + many, "int32", {n}, there);
+  }
   f.level_positions = nb::cast<bool>(given["level_positions"]);
   return f;
 }

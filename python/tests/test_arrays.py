@@ -26,10 +26,11 @@ class DLManagedTensor(ctypes.Structure):
 
 
 class Foreign:
-    """Pixels of an array, said to be on a device. Counts the exports that were not given back."""
+    """Numbers of an array, said to be on a device, or at an address there. Counts the exports that were not given back."""
 
-    def __init__(self, array, device):
+    def __init__(self, array, device, address=None):
         self.array, self.device, self.out = array, device, 0
+        self.address = array.ctypes.data if address is None else address
         self.kept = []
 
     def __dlpack_device__(self):
@@ -39,8 +40,10 @@ class Foreign:
         def give_back(_pointer):
             self.out -= 1
         m = DLManagedTensor()
-        m.tensor = DLTensor(self.array.ctypes.data, self.device, 0, 2, 1, 8, 1, (ctypes.c_int64 * 2)(*self.array.shape),
-                            (ctypes.c_int64 * 2)(*self.array.strides), 0)
+        a = self.array
+        numbers = ctypes.c_int64 * a.ndim
+        m.tensor = DLTensor(self.address, self.device, 0, a.ndim, "iuf".index(a.dtype.kind), 8 * a.itemsize, 1,
+                            numbers(*a.shape), numbers(*(s // a.itemsize for s in a.strides)), 0)
         m.deleter = DLManagedTensor._fields_[2][1](give_back)
         self.kept.append(m)
         self.out += 1

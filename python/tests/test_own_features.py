@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keypoints of the caller."""
 
+import ctypes
+
 import numpy as np
 import pytest
 from conftest import BASELINE, CAMERA, HEIGHT, WIDTH
+from test_arrays import KDL_CPU, KDL_CUDA, KDL_ROCM, Foreign
 
 import ft
 
@@ -172,17 +175,126 @@ def test_other_descriptors_that_are_refused(kind, rows, word):
         odometry(descriptors=kind).track_features(ft.ImageFeatures([[1, 2], [3, 4]], rows), 1)
 
 
-@pytest.mark.parametrize("kind", ["bits_512", "int8_128"])
-def test_tensors_of_other_descriptors_are_refused(kind):
-    class Tensor:
-        """Of uint8, as torch has: nobody would take 128 from the bytes of SIFT."""
+# ---- arrays of others, by DLPack
 
-        def __init__(self, array):
-            self.__dlpack__, self.__dlpack_device__, self.shape = array.__dlpack__, array.__dlpack_device__, array.shape
+COLUMNS = ("positions", "angle", "score", "right_x", "depth", "octave", "descriptors")
 
-    features = ft.ImageFeatures(np.zeros((2, 2), np.float32), Tensor(np.zeros((2, 128), np.uint8)))
-    with pytest.raises(ValueError, match="must be a NumPy array"):
-        features._rows(kind)
+
+def moved(features, move):
+    """With all arrays where move() brings them."""
+    types = {"octave": np.int32, "descriptors": features.descriptors.dtype}
+    return ft.ImageFeatures(level_positions=features.level_positions, **{
+        name: move(np.ascontiguousarray(getattr(features, name), types.get(name, np.float32)))
+        for name in COLUMNS if getattr(features, name) is not None})
+
+
+def assert_same_path(a, b):
+    assert all(np.array_equal(p.T_world_camera, q.T_world_camera) and p.keypoints == q.keypoints for p, q in zip(a, b))
+
+
+@pytest.mark.parametrize("kind", ["orb", "int8_128"])
+def test_tensors_on_the_host_are_read(matches, device, kind):
+    of_pair = [described(pair(m), OTHERS.get(kind, lambda orb: orb)) for m in matches[:3]]
+    kept = []
+
+    def foreign(array):
+        kept.append(Foreign(array, KDL_CPU))
+        return kept[-1]
+    there = [tuple(moved(f, foreign) for f in fs) for fs in of_pair]
+    options = {"device": device, "descriptors": kind}
+    assert_same_path(follow(odometry(**options), there), follow(odometry(**options), of_pair))
+    assert all(f.kept for f in kept) and not any(f.out for f in kept)
+
+
+def test_tensors_elsewhere_are_refused(matches):
+    of_pair, features = odometry(), pair(matches[0])
+    for where, word in ((KDL_CUDA, "not in host memory"), (KDL_ROCM, "not in host memory")):
+        with pytest.raises(ValueError, match=word):
+            of_pair.track(*(moved(f, lambda a: Foreign(a, where)) for f in features), 1)
+    mixed = moved(features[0], lambda a: Foreign(a, KDL_CUDA))
+    mixed.angle = features[0].angle
+    with pytest.raises(ValueError, match="positions of the features is on a device, angle on the host"):
+        of_pair.track(mixed, features[1], 1)
+    assert of_pair.track(*features, 1).keyframe  # nothing has changed
+
+
+class Driver:
+    """Memory of a GPU by CUDA's driver alone."""
+
+    def __init__(self):
+        self.cuda = ctypes.CDLL("libcuda.so.1")
+        self.context, self.used = ctypes.c_void_p(), []
+        self.call("cuInit", 0)
+        self.call("cuDevicePrimaryCtxRetain", ctypes.byref(self.context), 0)
+        self.call("cuCtxSetCurrent", self.context)
+
+    def call(self, name, *arguments):
+        assert getattr(self.cuda, name)(*arguments) == 0, name
+
+    def __call__(self, array):
+        address = ctypes.c_uint64()
+        self.call("cuMemAlloc_v2", ctypes.byref(address), ctypes.c_size_t(max(array.nbytes, 1)))
+        self.call("cuMemcpyHtoD_v2", address, ctypes.c_void_p(array.ctypes.data), ctypes.c_size_t(array.nbytes))
+        self.used.append(address)
+        return Foreign(array, KDL_CUDA, address.value)
+
+    def close(self):
+        for address in self.used:
+            self.call("cuMemFree_v2", address)
+
+
+@pytest.fixture(params=["driver", "cupy", "torch"])
+def to_gpu(request):
+    """What moves an array to the GPU, and the stream that it does so on."""
+    if request.param != "driver":
+        library = pytest.importorskip(request.param)
+    if len(ft.devices()) < 2:
+        pytest.skip("no GPU, or built without CUDA")
+    if request.param == "driver":
+        driver = Driver()
+        yield driver, None
+        driver.close()
+    elif request.param == "cupy":
+        stream = library.cuda.Stream(non_blocking=True)
+        with stream:
+            yield library.asarray, stream
+    else:
+        if not library.cuda.is_available():
+            pytest.skip("torch sees no GPU")
+        stream = library.cuda.Stream()
+        with library.cuda.stream(stream):
+            yield lambda array: library.from_numpy(array).cuda(non_blocking=True), stream
+
+
+@pytest.mark.parametrize("kind", ["orb", "bits_512", "int8_128"])
+def test_tensors_on_the_gpu_are_read_in_place(matches, to_gpu, kind):
+    move, stream = to_gpu
+    of = {"orb": lambda orb: orb, "bits_512": lambda orb: np.concatenate([orb, orb], axis=1),
+          "int8_128": lambda orb: (numbers(orb).astype(np.int16) - 128).astype(np.int8)}[kind]
+    of_pair = [described(pair(m), of) for m in matches]
+    on_gpu = odometry(device="cuda", descriptors=kind)
+    got = [on_gpu.track(*(moved(f, move) for f in fs), 50_000_000 * i, stream=stream) for i, fs in enumerate(of_pair)]
+    assert_same_path(got, follow(odometry(descriptors=kind), of_pair))
+
+
+def test_tensors_on_the_gpu_that_are_refused(matches, to_gpu):
+    move, stream = to_gpu
+    left, right = (moved(f, move) for f in pair(matches[0]))
+    n, rows = len(matches[0].left), matches[0].left.descriptors
+    on_gpu = odometry(device="cuda")
+    for change, word in (({"positions": move(np.zeros((n, 3), np.float32))}, "positions.*float32.*on the GPU"),
+                         ({"positions": move(np.zeros((n, 2)))}, "positions.*float32"),
+                         ({"octave": move(np.zeros(n, np.int64))}, "octave.*int32"),
+                         ({"score": move(np.zeros(n + 1, np.float32))}, "score"),
+                         ({"descriptors": move(rows.view(np.int8))}, "uint8 array"),
+                         ({"descriptors": move(np.zeros((n, 64), np.uint8))}, r"\(n, 32\)"),
+                         ({"angle": matches[0].left.angle}, "angle on the host")):
+        with pytest.raises(ValueError, match=word):
+            on_gpu.track(ft.ImageFeatures(**{**vars(left), **change}), right, 1, stream=stream)
+    assert on_gpu.track(left, right, 1, stream=stream).keyframe
+    far = moved(pair(matches[0])[0], move)
+    far.positions = move(np.where(np.arange(n)[:, None] % 2, np.float32(np.nan), matches[0].left.to_numpy()[0]))
+    assert on_gpu.track(far, right, 2, stream=stream).keypoints == (n + 1) // 2  # no number is known before
 
 
 def test_what_other_descriptors_have_not(walk, matches, tmp_path):

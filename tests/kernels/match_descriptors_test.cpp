@@ -126,10 +126,12 @@ TYPED_TEST(MatchDescriptors, HalvesAreThoseOfAPlainLoop) {
 
 TYPED_TEST(MatchDescriptors, BytesAreThoseOfAPlainLoop) {
   TypeParam backend;
+  matches_are_those_of_a_plain_loop<ft::vector_descriptor<std::int8_t, 5>>(backend.exec);
   matches_are_those_of_a_plain_loop<ft::vector_descriptor<std::int8_t, 20>>(backend.exec);
   matches_are_those_of_a_plain_loop<ft::vector_descriptor<std::int8_t, 128>>(backend.exec);
   matches_are_those_of_a_plain_loop<ft::vector_descriptor<std::int8_t, 128, ft::dot_product>>(
       backend.exec);
+  matches_are_those_of_a_plain_loop<ft::vector_descriptor<std::int8_t, 304>>(backend.exec);
 }
 
 TYPED_TEST(MatchDescriptors, ModelsWithoutPartsAreThoseOfAPlainLoop) {
@@ -139,28 +141,32 @@ TYPED_TEST(MatchDescriptors, ModelsWithoutPartsAreThoseOfAPlainLoop) {
   matches_are_those_of_a_plain_loop<bytes_apart<100>>(backend.exec);
 }
 
-TYPED_TEST(MatchDescriptors, MoreTilesThanStrips) {
-  TypeParam backend;
-  using D = ft::binary_descriptor<128>;
+template <typename D, typename Exec>
+void more_tiles_than_strips(Exec const& exec) {
   test::generator random(3);
   auto const few = test::random_rows<D>(random, 90);
   auto const many = test::random_rows<D>(random, 64 * 70 + 5);
-  auto const tests = ft::match_tests<int>::by({0, 128, 128, 1, 1}, true);
-  expect_same(test::matches_by(backend.exec, few, many, tests),
-              test::plain_matches(few, many, tests));
-  expect_same(test::matches_by(backend.exec, many, few, tests),
-              test::plain_matches(many, few, tests));
+  auto tests = ft::match_tests<int>::by(D::rules, true);
+  tests.most = D::rules.greatest;
+  expect_same(test::matches_by(exec, few, many, tests), test::plain_matches(few, many, tests));
+  expect_same(test::matches_by(exec, many, few, tests), test::plain_matches(many, few, tests));
 }
 
-TYPED_TEST(MatchDescriptors, OfEqualsTheLowest) {
+TYPED_TEST(MatchDescriptors, MoreTilesThanStrips) {
   TypeParam backend;
-  using D = ft::binary_descriptor<256>;
+  more_tiles_than_strips<ft::binary_descriptor<128>>(backend.exec);
+  more_tiles_than_strips<ft::vector_descriptor<std::int8_t, 20>>(backend.exec);
+}
+
+/// @param row that all are
+template <typename D, typename Exec>
+void of_equals_the_lowest(Exec const& exec, D const& row) {
   for (int const n : {2, 64, 65, 300, 3000}) {
     SCOPED_TRACE(n);
-    std::vector<D> const same(at(n), D{{1, 2, 3}});
+    std::vector<D> const same(at(n), row);
     ft::match_tests<int> tests;
     tests.mutual = true;
-    auto const got = test::matches_by(backend.exec, same, same, tests);
+    auto const got = test::matches_by(exec, same, same, tests);
     for (int i = 0; i < n; ++i) {
       ASSERT_EQ(got[at(i)].nearest, 0);
       ASSERT_EQ(got[at(i)].second, 1);
@@ -169,6 +175,12 @@ TYPED_TEST(MatchDescriptors, OfEqualsTheLowest) {
       ASSERT_EQ(got[at(i)].second_distance, 0);
     }
   }
+}
+
+TYPED_TEST(MatchDescriptors, OfEqualsTheLowest) {
+  TypeParam backend;
+  of_equals_the_lowest(backend.exec, ft::binary_descriptor<256>{{1, 2, 3}});
+  of_equals_the_lowest(backend.exec, ft::vector_descriptor<std::int8_t, 20>{{-128, 127, 3}});
 }
 
 TYPED_TEST(MatchDescriptors, CountsBelowAndAboveTheCapacity) {

@@ -21,6 +21,7 @@
 #include "tests/support/allocation_count.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/effort.hpp"
+#include "tests/support/memory.hpp"
 #include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
 #include "tests/support/room_features.hpp"
@@ -125,6 +126,37 @@ TYPED_TEST(odometry_features, find_the_partners_of_a_pair_by_descriptors) {
                        [&](std::size_t i) { return given[i].without_partners(); });
   expect_tracked(all, walk(), 0.03);
 }
+
+/// The arrays of features in executor memory.
+template <typename Exec>
+struct features_there {
+  template <typename T>
+  using array = ft::buffer<T, Exec::space>;
+  array<float> positions, angle, score, right_x, depth;
+  array<int> octave;
+  array<ft::descriptor> descriptors;
+  ft::image_features view;
+
+  features_there(Exec const& exec, features const& of, ft::image_features const& given)
+      : positions(test::to_exec(exec, of.positions)),
+        angle(test::to_exec(exec, of.angle)),
+        score(test::to_exec(exec, of.score)),
+        right_x(test::to_exec(exec, of.right_x)),
+        depth(test::to_exec(exec, of.depth)),
+        octave(test::to_exec(exec, of.octave)),
+        descriptors(test::to_exec(exec, of.descriptors)),
+        view(given) {
+    exec.wait();
+    view.on_device = true;
+    view.positions = positions.data();
+    view.descriptors = descriptors.data();
+    view.octave = octave.data();
+    view.angle = angle.data();
+    view.score = score.data();
+    if (given.right_x != nullptr) { view.right_x = right_x.data(); }
+    if (given.depth != nullptr) { view.depth = depth.data(); }
+  }
+};
 
 // ---- a camera with depths, and one camera
 
@@ -358,20 +390,76 @@ TYPED_TEST(odometry_features, beyond_the_capacity_are_the_best_by_score_and_the_
     std::sort(order.begin(), order.end());
     return order;
   };
+  many.score[0] = -0.0f;
+  features_there<exec_type> const moved(backend.exec, many, many.view());
+  std::int64_t time = 0;
   for (bool const scored : {true, false}) {
-    ft::given_features f{many.view(), {}};
-    if (!scored) { f.left.score = nullptr; }
-    auto const t = odo.track(f, time_of(scored ? 0 : 1));
-    EXPECT_EQ(t.keypoints, capacity);
-    auto const& r = odo.keypoints();
-    ASSERT_EQ(r.keypoints[0], capacity);
-    auto const want = kept(scored);
-    for (std::size_t k = 0; k < want.size(); ++k) {
-      ASSERT_EQ(r.x[k], many.positions[2 * want[k]]) << k;
-      ASSERT_EQ(r.y[k], many.positions[2 * want[k] + 1]) << k;
-      ASSERT_EQ(r.octave[k], many.octave[want[k]]) << k;
+    for (bool const on_device : {false, true}) {
+      ft::given_features f{on_device ? moved.view : many.view(), {}};
+      if (!scored) { f.left.score = nullptr; }
+      auto const t = odo.track(f, time += period);
+      EXPECT_EQ(t.keypoints, capacity);
+      auto const& r = odo.keypoints();
+      ASSERT_EQ(r.keypoints[0], capacity);
+      auto const want = kept(scored);
+      for (std::size_t k = 0; k < want.size(); ++k) {
+        ASSERT_EQ(r.x[k], many.positions[2 * want[k]]) << k;
+        ASSERT_EQ(r.y[k], many.positions[2 * want[k] + 1]) << k;
+        ASSERT_EQ(r.octave[k], many.octave[want[k]]) << k;
+      }
     }
   }
+}
+
+TYPED_TEST(odometry_features, in_executor_memory_are_those_in_host_memory) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  using there = features_there<exec_type>;
+  auto const given = extract(backend.exec, test::room::rig(), {walk().begin(), walk().begin() + 4});
+  for (bool const partners : {false, true}) {
+    std::vector<std::unique_ptr<there>> kept;
+    auto const of = [&](std::size_t i) {
+      ft::given_features f = partners ? given[i].with_partners() : given[i].without_partners();
+      if (i == 1) { return f; }  // both kinds mix
+      auto const move = [&](features const& from, ft::image_features& view) {
+        kept.push_back(std::make_unique<there>(backend.exec, from, view));
+        view = kept.back()->view;
+      };
+      move(given[i].left, f.left);
+      if (!partners) { move(given[i].right, f.right); }
+      return f;
+    };
+    test::expect_same(
+        run(backend.exec, test::room::rig(), params(), given.size(), of),
+        run(backend.exec, test::room::rig(), params(), given.size(), [&](std::size_t i) {
+          return partners ? given[i].with_partners() : given[i].without_partners();
+        }));
+  }
+}
+
+TYPED_TEST(odometry_features, in_executor_memory_are_left_out_where_numbers_are_out_of_range) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  auto all = extract(backend.exec, test::room::rig(), {walk()[0]})[0].left;
+  features const good = all;
+  all.positions[2 * 3] = nan;
+  all.positions[2 * 5 + 1] = static_cast<float>(test::room::height);
+  all.octave[7] = -1;
+  all.angle[9] = 361;
+  all.score[11] = -std::numeric_limits<float>::infinity();
+  all.depth[13] = 2e10f;
+  features_there<exec_type> const moved(backend.exec, all, all.with_partners());
+  ft::odometry<exec_type, ft::rectified_rig> odo(backend.exec, test::room::rig(), params(), 1,
+                                                 ft::own_features{});
+  int const n = static_cast<int>(good.octave.size());
+  EXPECT_EQ(odo.track({moved.view, {}}, time_of(0)).keypoints, n - 6);
+  std::size_t k = 0;
+  for (int const i : {0, 1, 2, 4, 6, 8, 10, 12, 14, 15}) {
+    EXPECT_EQ(odo.keypoints().octave[k++], good.octave[at(i)]) << i;
+  }
+  ft::given_features f{moved.view, {}};
+  f.left.descriptors = static_cast<unsigned char const*>(f.left.descriptors) + 1;
+  EXPECT_THROW(odo.track(f, time_of(1)), ft::bad_argument) << "alignment";
 }
 
 TYPED_TEST(odometry_features, partners_that_are_none_have_no_depth) {

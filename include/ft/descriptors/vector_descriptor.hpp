@@ -83,7 +83,8 @@ struct alignas(16) four_floats {
   /// (0 + 2) + (1 + 3)
   FT_HOST_DEVICE FT_INLINE float total() const { return (of[0] + of[2]) + (of[1] + of[3]); }
 };
-/// Sixteen numbers of int8.
+/// Sixteen numbers of int8. Parts of this type say that sums are those of products, which may be
+/// added in any order.
 struct alignas(16) four_words {
   std::int32_t of[4];
 };
@@ -240,6 +241,9 @@ struct alignas(detail::row_alignment(N * sizeof(T), sizeof(T))) vector_descripto
 
   /// What lies past the last number is 0.
   FT_HOST_DEVICE FT_INLINE static part part_of(vector_descriptor const& row, int i) {
+    if constexpr (detail::is_int8<T> && N % part_size == 0) {
+      return detail::part_at<part>(row.of, i);
+    }
     struct alignas(part_size * sizeof(T)) loaded {
       T of[part_size];
     };

@@ -9,8 +9,8 @@ inline namespace v0 {
 
 /// Keypoints of an image from any detector. Their descriptors have 256 bits and are compared by
 /// their Hamming distance, as OpenCV's ORB and BRIEF; or they are those of FT_DESCRIPTOR, see
-/// containers/keypoints.hpp. Arrays in host memory, without gaps; they are read during the call
-/// that takes them.
+/// containers/keypoints.hpp. Arrays without gaps, in host memory or all `on_device`; they are read
+/// during the call that takes them.
 struct image_features {
   int count = 0;
   /// [count][2] column and row, pixels, in [0, width) x [0, height); 0 is the middle of the first
@@ -47,6 +47,12 @@ struct image_features {
   /// odometry::keypoints() count; depths are then those of the disparity there. No difference on
   /// octave 0.
   bool level_positions = false;
+  /// The arrays lie in the executor's memory, on a GPU in that of the odometry's device, and
+  /// `descriptors` are aligned as ft::descriptor. Kernels read them there after what wait_for() was
+  /// told of, so nothing is known of their numbers before: keypoints with a number out of range are
+  /// left out, where those in host memory throw bad_argument. tracking::keypoints counts what was
+  /// taken.
+  bool on_device = false;
 };
 
 /// The features of a frame.

@@ -10,11 +10,12 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/images/undistort.hpp"
+#include "ft/types/features.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 
-/// A caller's keypoints, in staging memory, which a device reads.
+/// A caller's keypoints, in staging memory, which a device reads, or in executor memory.
 struct taken_keypoints_view {
   keypoints_view keypoints;
   /// [images] 1 = positions are those of levels, see image_features; otherwise of the image.
@@ -37,6 +38,17 @@ inline void carve(carver& c, taken_keypoints_view& v, int capacity, int images, 
   c.place({rigs}, v.partners);
 }
 
+/// Where keypoints are: in staging memory, or, of images with image_features::on_device, where
+/// gather_features() has written them.
+struct taken_sources {
+  taken_keypoints_view staged, gathered;
+  image_features const* given;  ///< [images]
+
+  FT_HOST_DEVICE taken_keypoints_view const& of(int image) const {
+    return given[image].on_device ? gathered : staged;
+  }
+};
+
 namespace detail {
 
 /// Item: a keypoint.
@@ -45,9 +57,10 @@ struct take_keypoint {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, pyramid_geometry const& geometry,
-                                 taken_keypoints_view const& from, keypoints_view const& to,
+                                 taken_sources const& sources, keypoints_view const& to,
                                  pixels_view const& pixels) const {
     int const image = item / to.capacity;
+    taken_keypoints_view const& from = sources.of(image);
     int const i = item % to.capacity;
     int const count = from.keypoints.count[image];
     if (i == 0) { to.count[image] = count; }
@@ -78,9 +91,10 @@ struct take_partner {
   /// @param step images from one of these to the next
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, pyramid_geometry const& geometry,
-                                 taken_keypoints_view const& from, keypoints_view const& all,
-                                 int step, float bf, stereo_matches_view const& out) const {
+                                 taken_sources const& sources, keypoints_view const& all, int step,
+                                 float bf, stereo_matches_view const& out) const {
     int const rig = item / all.capacity;
+    taken_keypoints_view const& from = sources.of(step * rig);
     int const i = item % all.capacity;
     int const given = from.partners[rig];
     if (given == 0) { return; }
@@ -151,9 +165,8 @@ private:
 /// @param pixels same shape; gets the positions by which keypoints are sorted into grids: as in
 ///   extraction those of levels at the pixel of the level, before they were refined
 template <typename Exec>
-void take_keypoints(Exec const& exec, pyramid_geometry const& geometry,
-                    taken_keypoints_view const& from, keypoints_view const& to,
-                    pixels_view const& pixels) {
+void take_keypoints(Exec const& exec, pyramid_geometry const& geometry, taken_sources const& from,
+                    keypoints_view const& to, pixels_view const& pixels) {
   for_each_item<per_thread>(exec, to.batch * to.capacity, detail::take_keypoint{}, geometry, from,
                             to, pixels);
 }
@@ -164,9 +177,9 @@ void take_keypoints(Exec const& exec, pyramid_geometry const& geometry,
 ///   partners
 /// @param bf baseline times fx, metres * pixels
 template <typename Exec>
-void take_partners(Exec const& exec, pyramid_geometry const& geometry,
-                   taken_keypoints_view const& from, keypoints_view const& keypoints, int step,
-                   float bf, stereo_matches_view const& out) {
+void take_partners(Exec const& exec, pyramid_geometry const& geometry, taken_sources const& from,
+                   keypoints_view const& keypoints, int step, float bf,
+                   stereo_matches_view const& out) {
   for_each_item<per_thread>(exec, keypoints.batch / step * keypoints.capacity,
                             detail::take_partner{}, geometry, from, keypoints, step, bf, out);
 }

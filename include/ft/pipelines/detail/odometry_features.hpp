@@ -16,6 +16,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/grid.hpp"
 #include "ft/kernels/images/undistort.hpp"
+#include "ft/kernels/keypoints/gather_features.hpp"
 #include "ft/kernels/keypoints/take_keypoints.hpp"
 #include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/stereo/by_descriptors.hpp"
@@ -77,6 +78,7 @@ public:
       : staged_(s.capacity(), Rig::images, s.batch, limits(s)) {
     memory_ = owner<memory, Exec::space>([&](carver& c, memory& m) {
       carve(c, m.pixels, s.capacity(), Rig::images * s.batch);
+      carve(c, m.gathered, s.capacity(), Rig::images * s.batch, s.batch);
       if (depths == given_depths::pair) { carve(c, m.proposals, s.capacity(), s.batch); }
     });
   }
@@ -90,7 +92,8 @@ public:
   }
   void queue_features(Exec const& exec, stages_type const& s) const override {
     keypoints_view const keypoints = s.extractor.keypoints();
-    take_keypoints(exec, s.geometry(), staged_.view(), keypoints, memory_->pixels);
+    gather_features(exec, staged_.limits(), Rig::images, staged_.given(), memory_->gathered);
+    take_keypoints(exec, s.geometry(), sources(), keypoints, memory_->pixels);
     for_each_item<per_thread>(exec, s.batch, pass_over_images{}, int{Rig::images}, s.own.changes,
                               s.own.outputs);
     if constexpr (stages_type::undistorts) {
@@ -105,9 +108,11 @@ public:
 private:
   struct memory {
     pixels_view pixels;  ///< by which keypoints are sorted into grids
+    taken_keypoints_view gathered;
     partner_proposals proposals;
   };
 
+  taken_sources sources() const { return {staged_.view(), memory_->gathered, staged_.given()}; }
   static feature_limits limits(stages_type const& s) {
     feature_limits l;
     l.width = s.params.orb.width;
@@ -136,8 +141,8 @@ private:
         match_by_descriptors(exec, s.geometry(), s.extractor.keypoints(), s.matcher.right_rows(),
                              params, memory_->proposals, matches);
       }
-      take_partners(exec, s.geometry(), staged_.view(), s.memory.frame.keypoints, Rig::images,
-                    pair.bf(), matches);
+      take_partners(exec, s.geometry(), sources(), s.memory.frame.keypoints, Rig::images, pair.bf(),
+                    matches);
     }
   }
 

@@ -4,8 +4,7 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <cstring>
-#include <limits>
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -15,6 +14,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/keypoints/gather_features.hpp"
 #include "ft/kernels/keypoints/take_keypoints.hpp"
 #include "ft/types/features.hpp"
 #include "ft/types/tracking.hpp"
@@ -22,17 +22,6 @@
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
-
-/// What features may be given.
-struct feature_limits {
-  int width = 0, height = 0;  ///< of the images
-  pyramid_geometry geometry;
-  bool right = false;   ///< the rig has a right image, and keypoints may have a column there
-  bool depths = false;  ///< they may have a depth
-  /// Without a right image depths must be given.
-  bool needs_depths() const { return depths && !right; }
-  float min_depth = 0, max_depth = std::numeric_limits<float>::infinity();
-};
 
 /// Checks one image's features. @throws bad_argument, naming the image
 class feature_check {
@@ -44,7 +33,7 @@ public:
   void all() const {
     if (of_.count < 0) { refuse("count is " + std::to_string(of_.count) + ", must be 0 or more"); }
     arrays();
-    for (int i = 0; i < of_.count; ++i) { keypoint(i); }
+    for (int i = 0; !of_.on_device && i < of_.count; ++i) { keypoint(i); }
   }
   /// Of the image whose keypoints may have partners.
   void partners() const {
@@ -56,13 +45,6 @@ public:
     }
     if (limits_.needs_depths() && of_.depth == nullptr && of_.count > 0) {
       refuse("depth is null: an rgbd_rig needs it, NaN = none");
-    }
-    for (int i = 0; of_.depth != nullptr && i < of_.count; ++i) {
-      float const z = of_.depth[i];
-      if (z >= taken_keypoints_view::farthest && z <= std::numeric_limits<float>::max()) {
-        refuse("depth " + std::to_string(i) + " is " + number_text(z) + ", must be below " +
-               number_text(taken_keypoints_view::farthest) + " m; NaN = none");
-      }
     }
   }
   void no_partners() const {
@@ -79,31 +61,38 @@ private:
     }
     if (of_.count > 0 && of_.positions == nullptr) { refuse("positions is null"); }
     if (of_.count > 0 && of_.descriptors == nullptr) { refuse("descriptors is null"); }
+    if (of_.on_device && reinterpret_cast<std::uintptr_t>(of_.descriptors) % alignof(descriptor)) {
+      refuse("descriptors on the device are not aligned to " + std::to_string(alignof(descriptor)) +
+             " bytes");
+    }
     if (of_.octave != nullptr && of_.deviation != nullptr) {
       refuse("octave and deviation are given, must be one of them: an octave says both");
     }
   }
   void keypoint(int i) const {
-    float const x = of_.positions[2 * i];
-    float const y = of_.positions[2 * i + 1];
-    auto const inside = [](float v, int size) { return v >= 0 && v < static_cast<float>(size); };
-    if (!(inside(x, limits_.width) && inside(y, limits_.height))) {  // NaN, too
-      refuse("position " + std::to_string(i) + " is (" + number_text(x) + ", " + number_text(y) +
-             "), must be in [0, " + std::to_string(limits_.width) + ") x [0, " +
-             std::to_string(limits_.height) + ")");
+    switch (fault_of(of_, i, limits_)) {
+      case feature_fault::none:
+        return;
+      case feature_fault::position:
+        refuse("position " + std::to_string(i) + " is (" + number_text(of_.positions[2 * i]) +
+               ", " + number_text(of_.positions[2 * i + 1]) + "), must be in [0, " +
+               std::to_string(limits_.width) + ") x [0, " + std::to_string(limits_.height) + ")");
+      case feature_fault::octave:
+        refuse("octave " + std::to_string(i) + " is " + std::to_string(of_.octave[i]) +
+               ", must be in [0, " + std::to_string(limits_.geometry.levels - 1) + "]");
+      case feature_fault::deviation:
+        number(of_.deviation, i, "deviation", least_deviation, most_number);
+      case feature_fault::angle:
+        number(of_.angle, i, "angle", 0, 360);
+      case feature_fault::score:
+        number(of_.score, i, "score", -most_number, most_number);
+      case feature_fault::depth:
+        refuse("depth " + std::to_string(i) + " is " + number_text(of_.depth[i]) +
+               ", must be below " + number_text(taken_keypoints_view::farthest) + " m; NaN = none");
     }
-    if (of_.octave != nullptr && !(of_.octave[i] >= 0 && of_.octave[i] < limits_.geometry.levels)) {
-      refuse("octave " + std::to_string(i) + " is " + std::to_string(of_.octave[i]) +
-             ", must be in [0, " + std::to_string(limits_.geometry.levels - 1) + "]");
-    }
-    number(of_.deviation, i, "deviation", std::numeric_limits<float>::min(),
-           std::numeric_limits<float>::max());
-    number(of_.angle, i, "angle", 0, 360);
-    number(of_.score, i, "score", std::numeric_limits<float>::lowest(),
-           std::numeric_limits<float>::max());
   }
-  void number(float const* array, int i, char const* what, float low, float high) const {
-    if (array == nullptr || (array[i] >= low && array[i] <= high)) { return; }
+  [[noreturn]] void number(float const* array, int i, char const* what, float low,
+                           float high) const {
     refuse(std::string(what) + " " + std::to_string(i) + " is " + number_text(array[i]) +
            ", must be in [" + number_text(low) + ", " + number_text(high) + "]");
   }
@@ -127,18 +116,23 @@ public:
   /// @param images of a rig @throws bad_argument, std::bad_alloc, cuda_error
   staged_features(int capacity, int images, int rigs, feature_limits const& limits)
       : limits_(limits), images_(images), best_(static_cast<std::size_t>(capacity)) {
-    memory_ = owner<taken_keypoints_view, staging>(
-        [&](carver& c, taken_keypoints_view& v) { carve(c, v, capacity, images * rigs, rigs); });
-    std::fill_n(memory_->keypoints.count, images * rigs, 0);
-    std::fill_n(memory_->of_levels, images * rigs, 0);
-    std::fill_n(memory_->partners, rigs, 0);
+    memory_ = owner<memory, staging>([&](carver& c, memory& m) {
+      carve(c, m.taken, capacity, images * rigs, rigs);
+      c.place({images * rigs}, m.given);
+    });
+    std::fill_n(memory_->taken.keypoints.count, images * rigs, 0);
+    std::fill_n(memory_->taken.of_levels, images * rigs, 0);
+    std::fill_n(memory_->taken.partners, rigs, 0);
+    std::fill_n(memory_->given, images * rigs, image_features{});
   }
-  taken_keypoints_view const& view() const { return memory_.view(); }
+  taken_keypoints_view const& view() const { return memory_->taken; }
+  image_features const* given() const { return memory_->given; }  ///< [images of all rigs]
+  feature_limits const& limits() const { return limits_; }
   allocated_bytes bytes() const { return {0, memory_.bytes()}; }
 
   /// Takes the features of rig b. Allocates nothing. @throws bad_argument; then they are not taken
   void take(int b, given_features const& given) {
-    int const named = memory_->keypoints.batch > images_ ? b : -1;
+    int const named = view().keypoints.batch > images_ ? b : -1;
     feature_check const left(given.left, images_ == 1 ? "image" : "left image", named, limits_);
     left.all();
     left.partners();
@@ -150,15 +144,32 @@ public:
       right.all();
       right.no_partners();
     }
+    require_reachable(given.left);
+    if (images_ > 1 && !has_partners) { require_reachable(given.right); }
     write(images_ * b, given.left);
-    write_partners(b, given.left);
+    if (!given.left.on_device) { write_partners(b, given.left); }
     if (images_ > 1) { write(images_ * b + 1, has_partners ? image_features{} : given.right); }
   }
 
 private:
+  struct memory {
+    taken_keypoints_view taken;
+    image_features* given;
+  };
+
+  /// Arrays in executor memory.
+  static void require_reachable(image_features const& from) {
+    void const* const arrays[] = {from.positions, from.descriptors, from.octave,  from.deviation,
+                                  from.angle,     from.score,       from.right_x, from.depth};
+    for (void const* const array : arrays) {
+      require(!from.on_device || from.count == 0 || array == nullptr ||
+                  Exec::host_address(array) != nullptr,
+              "image_features::on_device: an array is not in memory that the device reads");
+    }
+  }
   /// The indices of those that are taken, ascending, in best_. @return their number
   int choose(image_features const& from) {
-    int const capacity = memory_->keypoints.capacity;
+    int const capacity = view().keypoints.capacity;
     int const n = std::min(from.count, capacity);
     auto const first = best_.begin();
     for (int i = 0; i < n; ++i) { best_[static_cast<std::size_t>(i)] = i; }
@@ -178,56 +189,29 @@ private:
     return n;
   }
   void write(int image, image_features const& from) {
-    keypoints_view const to = memory_->keypoints.slice(image);
-    memory_->of_levels[image] = from.level_positions ? 1 : 0;
+    memory_->given[image] = from;
+    if (from.on_device) { return; }
+    keypoints_view const to = view().keypoints.slice(image);
+    view().of_levels[image] = from.level_positions ? 1 : 0;
     int const n = *to.count = choose(from);
     for (int k = 0; k < n; ++k) {
-      int const i = best_[static_cast<std::size_t>(k)];
-      to.x(k) = from.positions[2 * i];
-      to.y(k) = from.positions[2 * i + 1];
-      to.octave(k) = octave_of(from, i);
-      to.angle(k) = from.angle != nullptr ? from.angle[i] : 0.0f;
-      to.response(k) = from.score != nullptr ? from.score[i] : 0.0f;
-      std::memcpy(&to.orb(k),
-                  static_cast<unsigned char const*>(from.descriptors) +
-                      static_cast<std::ptrdiff_t>(i) * from.descriptor_bytes,
-                  sizeof(descriptor));
+      copy_keypoint(from, best_[static_cast<std::size_t>(k)], limits_.geometry, to, k);
     }
   }
   /// @pre write() has chosen the keypoints
   void write_partners(int b, image_features const& from) {
-    int const capacity = memory_->keypoints.capacity;
-    int const n = memory_->keypoints.count[images_ * b];
-    memory_->partners[b] = (from.right_x != nullptr ? taken_keypoints_view::has_right : 0) +
-                           (from.depth != nullptr ? taken_keypoints_view::has_depth : 0);
-    auto const first = static_cast<std::ptrdiff_t>(b) * capacity;
+    int const n = view().keypoints.count[images_ * b];
+    view().partners[b] = partners_of(from);
+    auto const first = static_cast<std::ptrdiff_t>(b) * view().keypoints.capacity;
     for (int k = 0; k < n; ++k) {
-      int const i = best_[static_cast<std::size_t>(k)];
-      if (from.right_x != nullptr) { memory_->right_x[first + k] = from.right_x[i]; }
-      if (from.depth == nullptr) { continue; }
-      float const z = from.depth[i];
-      bool const seen = z >= limits_.min_depth && z <= limits_.max_depth;
-      memory_->depth[first + k] = seen ? z : -1.0f;
+      copy_partner(from, best_[static_cast<std::size_t>(k)], limits_, view(), first + k);
     }
-  }
-  /// The octave that was given, or the one whose deviation is nearest, as a ratio.
-  int octave_of(image_features const& from, int i) const {
-    if (from.octave != nullptr) { return from.octave[i]; }
-    int octave = 0;
-    if (from.deviation == nullptr) { return octave; }
-    pyramid_geometry const& g = limits_.geometry;
-    auto const wide = [](float v) { return static_cast<double>(v); };
-    double const square = wide(from.deviation[i]) * wide(from.deviation[i]);
-    while (octave + 1 < g.levels && square > wide(g.scale[octave]) * wide(g.scale[octave + 1])) {
-      ++octave;
-    }
-    return octave;
   }
 
   feature_limits limits_;
   int images_ = 0;         ///< of a rig
   std::vector<int> best_;  ///< [capacity]
-  owner<taken_keypoints_view, staging> memory_;
+  owner<memory, staging> memory_;
 };
 
 }  // namespace detail

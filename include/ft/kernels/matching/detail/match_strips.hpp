@@ -2,16 +2,20 @@
 /// @file Functor: the two nearest rows of a strip for each row of another strip.
 ///
 /// A block of a device compares tiles of 64 by 64 rows. It keeps some parts of them in shared
-/// memory at a time, a part of all rows after the other, and each thread the sums of 4 by 4 pairs
-/// in registers: a part is read once for four pairs. The host goes through the train rows with
-/// four query rows at a time.
+/// memory at a time, a part of all rows after the other, and each thread the sums of 16 pairs in
+/// registers: a part is read once for several pairs. Bytes are multiplied by tensor cores where
+/// there are (compute capability 8.0). The host goes through the train rows with four query rows
+/// at a time.
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <type_traits>
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/descriptors/descriptor_model.hpp"
+#include "ft/descriptors/vector_descriptor.hpp"
 #include "ft/kernels/matching/match_types.hpp"
 
 namespace ft {
@@ -20,11 +24,46 @@ inline namespace FT_ABI {
 namespace detail {
 
 inline constexpr int match_threads = 256;
-/// Query rows, and train rows, of a thread.
+/// Query rows that the host takes at a time.
 inline constexpr int match_own = 4;
-/// A thread's rows are that many apart.
-inline constexpr int match_step = match_side / match_own;
-static_assert(match_step * match_step == match_threads, "a thread for 4 by 4 pairs of a tile");
+
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+inline constexpr bool has_byte_products = true;
+#else
+inline constexpr bool has_byte_products = false;
+#endif
+
+/// The pairs of a tile that a thread compares: 4 query rows, 16 apart, with 4 train rows.
+struct pairs_apart {
+  static constexpr int rows = 4, columns = 4;
+  static constexpr int lanes = 16;  ///< consecutive threads that have the same query rows
+  static constexpr int shares = 1;  ///< such runs of threads
+  static constexpr int lines = 16;  ///< threads that have the same train rows
+
+  FT_HOST_DEVICE static int row(int rank, int r) { return rank / 16 + 16 * r; }
+  FT_HOST_DEVICE static int column(int rank, int c) { return rank % 16 + 16 * c; }
+  FT_HOST_DEVICE static int share(int) { return 0; }
+  FT_HOST_DEVICE static int line(int rank) { return rank / 16; }
+};
+/// Those of the PTX instruction mma.m16n8k32: a warp compares 16 query rows with 4 times 8 train
+/// rows, and two warps have the same query rows.
+struct pairs_of_mma {
+  static constexpr int rows = 2, columns = 8;
+  static constexpr int lanes = 4;
+  static constexpr int shares = 2;
+  static constexpr int lines = 32;
+
+  FT_HOST_DEVICE static int row(int rank, int r) { return rank / 64 * 16 + rank % 32 / 4 + 8 * r; }
+  FT_HOST_DEVICE static int column(int rank, int c) {
+    return share(rank) * 32 + c / 2 * 8 + rank % 4 * 2 + c % 2;
+  }
+  FT_HOST_DEVICE static int share(int rank) { return rank / 32 % 2; }
+  FT_HOST_DEVICE static int line(int rank) { return rank / 64 * 8 + rank % 32 / 4; }
+};
+
+/// A row's sums are those of products of bytes.
+template <typename D>
+inline constexpr bool is_of_bytes = std::is_same<typename row_parts<D>::part, four_words>::value;
 
 template <typename D>
 struct match_scratch {
@@ -36,7 +75,9 @@ struct match_scratch {
 
   part rows[2][each][match_side + 1];  ///< one more, against conflicts of banks
   typename reader::sum own[2][reader::uses_own_sums ? match_side : 1];
-  nearest_row<descriptor_distance<D>> of_train[match_step][match_side];
+  two_nearest_rows<descriptor_distance<D>> best[is_of_bytes<D> ? match_side : 1];
+  nearest_row<descriptor_distance<D>>
+      of_train[is_of_bytes<D> ? pairs_of_mma::lines : pairs_apart::lines][match_side + 4];
 };
 
 /// Item: a strip of query rows and a strip of train rows.
@@ -80,6 +121,7 @@ private:
   using sum = typename reader::sum;
   using two = two_nearest_rows<distance_type>;
   using one = nearest_row<distance_type>;
+  using pairs = std::conditional_t<has_byte_products && is_of_bytes<D>, pairs_of_mma, pairs_apart>;
 
   struct strip {
     D const* query;
@@ -149,22 +191,21 @@ private:
 
   template <typename Group>
   FT_HOST_DEVICE static void by_tiles(Group g, scratch& s, strip const& in) {
-    int const column = g.rank() % match_step, line = g.rank() / match_step;
     for (int q = in.first_query; q < in.last_query; q += match_side) {
-      two best[match_own];
+      two best[pairs::rows];
       FT_UNROLL
-      for (int r = 0; r < match_own; ++r) { best[r] = two::none(); }
+      for (int r = 0; r < pairs::rows; ++r) { best[r] = two::none(); }
       for (int t = in.first_train; t < in.last_train; t += match_side) {
-        sum sums[match_own][match_own] = {};
+        sum sums[pairs::rows][pairs::columns] = {};
         add_tile(g, s, in, q, t, sums);
-        one of_train[match_own];
+        one of_train[pairs::columns];
         FT_UNROLL
-        for (int c = 0; c < match_own; ++c) {
-          int const j = t + column + c * match_step;
+        for (int c = 0; c < pairs::columns; ++c) {
+          int const j = t + pairs::column(g.rank(), c);
           of_train[c] = one::none();
           FT_UNROLL
-          for (int r = 0; r < match_own; ++r) {
-            int const i = q + line + r * match_step;
+          for (int r = 0; r < pairs::rows; ++r) {
+            int const i = q + pairs::row(g.rank(), r);
             distance_type const d = usable_distance(
                 reader::distance_of(sums[r][c], own_sum(s, 0, i - q), own_sum(s, 1, j - t)));
             best[r].add(j < in.last_train ? d : no_distance<distance_type>, j);
@@ -173,21 +214,34 @@ private:
         }
         if (in.of_train != nullptr) { keep_of_train(g, s, in, q, t, of_train); }
       }
-      FT_UNROLL
-      for (int r = 0; r < match_own; ++r) {
-        two const all = g.template reduce_lanes<match_step>(best[r], merge_nearest{});
-        int const i = q + line + r * match_step;
-        if (column == 0 && i < in.last_query) { in.of_query[i] = all; }
-      }
+      keep_of_query(g, s, in, q, best);
+    }
+  }
+  /// Merges what the threads of a query row found.
+  template <typename Group>
+  FT_HOST_DEVICE static void keep_of_query(Group g, scratch& s, strip const& in, int q,
+                                           two (&best)[pairs::rows]) {
+    bool const is_first = g.rank() % pairs::lanes == 0;
+    int const share = pairs::share(g.rank());
+    FT_UNROLL
+    for (int r = 0; r < pairs::rows; ++r) {
+      best[r] = g.template reduce_lanes<pairs::lanes>(best[r], merge_nearest{});
+      if (is_first && share != 0) { s.best[pairs::row(g.rank(), r)] = best[r]; }
+    }
+    if (pairs::shares > 1) { g.sync(); }
+    FT_UNROLL
+    for (int r = 0; r < pairs::rows; ++r) {
+      int const row = pairs::row(g.rank(), r);
+      if (!is_first || share != 0 || q + row >= in.last_query) { continue; }
+      in.of_query[q + row] = pairs::shares > 1 ? merge_nearest{}(best[r], s.best[row]) : best[r];
     }
   }
 
   /// Sums over all parts of the rows of a tile.
   template <typename Group>
   FT_HOST_DEVICE static void add_tile(Group g, scratch& s, strip const& in, int q, int t,
-                                      sum (&sums)[match_own][match_own]) {
+                                      sum (&sums)[pairs::rows][pairs::columns]) {
     constexpr int each = scratch::each;
-    int const column = g.rank() % match_step, line = g.rank() / match_step;
     sum own{};
     for (int first = 0; first < reader::parts; first += each) {
       g.sync();
@@ -201,21 +255,56 @@ private:
           reader::add(own, mine, mine);
         }
       }
-      for (int p = 0; p < n; ++p) {
-        part theirs[match_own];
-        FT_UNROLL
-        for (int c = 0; c < match_own; ++c) { theirs[c] = s.rows[1][p][column + c * match_step]; }
-        FT_UNROLL
-        for (int r = 0; r < match_own; ++r) {
-          part const mine = s.rows[0][p][line + r * match_step];
-          FT_UNROLL
-          for (int c = 0; c < match_own; ++c) { reader::add(sums[r][c], mine, theirs[c]); }
-        }
+      if constexpr (std::is_same<pairs, pairs_of_mma>::value) {
+        for (int p = 0; p < n; p += 2) { multiply_bytes(g, s, p, p + 1 < n, sums); }
+      } else {
+        for (int p = 0; p < n; ++p) { add_part(g, s, p, sums); }
       }
     }
     if constexpr (reader::uses_own_sums) {
       if (g.rank() < 2 * match_side) { s.own[g.rank() / match_side][g.rank() % match_side] = own; }
       g.sync();
+    }
+  }
+  template <typename Group>
+  FT_HOST_DEVICE static void add_part(Group g, scratch const& s, int p,
+                                      sum (&sums)[pairs::rows][pairs::columns]) {
+    part theirs[pairs::columns];
+    FT_UNROLL
+    for (int c = 0; c < pairs::columns; ++c) {
+      theirs[c] = s.rows[1][p][pairs::column(g.rank(), c)];
+    }
+    FT_UNROLL
+    for (int r = 0; r < pairs::rows; ++r) {
+      part const mine = s.rows[0][p][pairs::row(g.rank(), r)];
+      FT_UNROLL
+      for (int c = 0; c < pairs::columns; ++c) { reader::add(sums[r][c], mine, theirs[c]); }
+    }
+  }
+  /// Two parts, or one, of all rows, a warp together. What lies in which thread: PTX ISA,
+  /// mma.m16n8k32, .s8.
+  template <typename Group>
+  FT_HOST_DEVICE static void multiply_bytes(Group g, scratch const& s, int p, bool both,
+                                            sum (&sums)[pairs::rows][pairs::columns]) {
+    int const word = g.rank() % 4;
+    auto const at = [&](int of, int part, int row) {
+      return part == 0 || both ? s.rows[of][p + part][row].of[word] : 0;
+    };
+    int const row = pairs::row(g.rank(), 0);
+    std::int32_t const a[4] = {at(0, 0, row), at(0, 0, row + 8), at(0, 1, row), at(0, 1, row + 8)};
+    FT_UNROLL
+    for (int c = 0; c < pairs::columns; c += 2) {
+      int const column = pairs::share(g.rank()) * 32 + c * 4 + g.rank() % 32 / 4;
+      std::int32_t const b[2] = {at(1, 0, column), at(1, 1, column)};
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+      asm volatile(
+          "mma.sync.aligned.m16n8k32.row.col.s32.s8.s8.s32 "
+          "{%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, %3};"
+          : "+r"(sums[0][c]), "+r"(sums[0][c + 1]), "+r"(sums[1][c]), "+r"(sums[1][c + 1])
+          : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b[0]), "r"(b[1]));
+#else
+      static_cast<void>(a), static_cast<void>(b), static_cast<void>(sums);
+#endif
     }
   }
   /// Parts of 64 rows; instead of rows that are not there, the last one.
@@ -244,15 +333,16 @@ private:
   /// Merges what the train rows of a tile found into what they found in the tiles before.
   template <typename Group>
   FT_HOST_DEVICE static void keep_of_train(Group g, scratch& s, strip const& in, int q, int t,
-                                           one const (&found)[match_own]) {
-    int const column = g.rank() % match_step, line = g.rank() / match_step;
+                                           one const (&found)[pairs::columns]) {
     FT_UNROLL
-    for (int c = 0; c < match_own; ++c) { s.of_train[line][column + c * match_step] = found[c]; }
+    for (int c = 0; c < pairs::columns; ++c) {
+      s.of_train[pairs::line(g.rank())][pairs::column(g.rank(), c)] = found[c];
+    }
     g.sync();
     int const j = t + g.rank();
     if (g.rank() >= match_side || j >= in.last_train) { return; }
     one best = q == in.first_query ? one::none() : in.of_train[j];
-    for (int k = 0; k < match_step; ++k) {
+    for (int k = 0; k < pairs::lines; ++k) {
       one const other = s.of_train[k][g.rank()];
       best = other < best ? other : best;
     }

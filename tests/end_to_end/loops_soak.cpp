@@ -4,8 +4,9 @@
 // the error of a lap, the memory and, of 6000 frames and more, the processor's time of a frame must
 // not grow.
 //
-//     loops_soak [FRAMES]
+//     loops_soak [FRAMES [MS]]
 //
+// A frame begins MS milliseconds after the one before, or at once: then it may wait for a loop.
 // On a GPU where nvcc compiles it (-x cu), else on the host's threads. Nothing but ft is needed.
 #include <algorithm>
 #include <chrono>
@@ -16,6 +17,7 @@
 #include <ctime>
 #include <exception>
 #include <stdexcept>
+#include <thread>
 #include <vector>
 
 #include "ft/pipelines/odometry.hpp"
@@ -54,31 +56,41 @@ double place(int frame) { return 2.5 * (1 - std::cos(frame * 6.283185307 / lap))
 struct lap_facts {
   double square = 0;  ///< mean of squared errors as each frame told its pose, m^2
   int tracked = 0, loops = 0;
-  double cpu_ms = 0;   ///< of a frame, mean
-  double wall_ms = 0;  ///< of a frame, median
+  double cpu_ms = 0;           ///< of a frame, mean
+  std::vector<float> wall_ms;  ///< of each frame
+  test::usage memory;          ///< at its end
 };
 
-/// Means of the laps of a part of the run.
+/// What a quarter of the run was like.
 struct part_facts {
-  double error_m = 0, cpu_ms = 0, wall_ms = 0;
+  double error_m = 0, cpu_ms = 0;
+  float p50_ms = 0, p99_ms = 0;
   int loops = 0;
+  test::usage memory;  ///< at its end
 
-  explicit part_facts(std::vector<lap_facts> const& laps, std::size_t from, std::size_t to) {
+  part_facts(std::vector<lap_facts> const& laps, std::size_t from, std::size_t to) {
     double square = 0;
+    std::vector<float> ms;
     for (std::size_t i = from; i < to; ++i) {
       square += laps[i].square;
       cpu_ms += laps[i].cpu_ms;
-      wall_ms += laps[i].wall_ms;
+      ms.insert(ms.end(), laps[i].wall_ms.begin(), laps[i].wall_ms.end());
       loops += laps[i].loops;
     }
     auto const n = static_cast<double>(to - from);
     error_m = std::sqrt(square / n);
     cpu_ms /= n;
-    wall_ms /= n;
+    std::sort(ms.begin(), ms.end());
+    p50_ms = ms[ms.size() / 2];
+    p99_ms = ms[ms.size() * 99 / 100];
+    memory = laps[to - 1].memory;
   }
-  void print(char const* name) const {
-    std::printf("%s: error %.4f m, %d loops, a frame %.2f ms (median), processor %.2f ms\n", name,
-                error_m, loops, wall_ms, cpu_ms);
+  void print(std::size_t number) const {
+    std::printf(
+        "quarter %zu: error %.4f m, %d loops, a frame p50 %.2f p99 %.2f ms, processor %.2f ms; "
+        "KiB: resident %lld, heap %lld, device %lld\n",
+        number, error_m, loops, static_cast<double>(p50_ms), static_cast<double>(p99_ms), cpu_ms,
+        memory.resident / 1024, memory.heap / 1024, memory.device / 1024);
   }
 };
 
@@ -86,17 +98,18 @@ double cpu_now_ms() { return 1e3 * static_cast<double>(std::clock()) / CLOCKS_PE
 
 template <typename Odometry>
 lap_facts go_round(Odometry& odometry, std::vector<image> const& left,
-                   std::vector<image> const& right, std::int64_t& time) {
+                   std::vector<image> const& right, std::chrono::milliseconds distance,
+                   std::int64_t& time) {
   auto const view = [](image const& i) { return ft::gray_view{i.data(), width, height, width}; };
   lap_facts facts;
-  std::vector<double> ms;
   double const begin = cpu_now_ms();
   for (int f = 0; f < lap; ++f) {
     auto const i = static_cast<std::size_t>(std::min(f, lap - f));  // the way back: the same images
     auto const start = std::chrono::steady_clock::now();
     ft::tracking const t = odometry.track({view(left[i]), view(right[i])}, time += period);
-    ms.push_back(std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start)
-                     .count());
+    std::chrono::duration<float, std::milli> const took = std::chrono::steady_clock::now() - start;
+    facts.wall_ms.push_back(took.count());
+    std::this_thread::sleep_until(start + distance);
     auto const& p = t.T_world_camera.t;
     double const error = std::hypot(p.x - place(f), p.y, p.z);
     facts.square += error * error / lap;
@@ -104,14 +117,12 @@ lap_facts go_round(Odometry& odometry, std::vector<image> const& left,
     facts.loops += t.loops_closed;
   }
   facts.cpu_ms = (cpu_now_ms() - begin) / lap;
-  std::nth_element(ms.begin(), ms.begin() + lap / 2, ms.end());
-  facts.wall_ms = ms[lap / 2];
   return facts;
 }
 
 /// @return whether all is as it must be
 template <typename Exec>
-bool run(Exec const& exec, int frames) {
+bool run(Exec const& exec, int frames, std::chrono::milliseconds distance) {
   std::vector<image> left, right;
   for (int i = 0; i <= lap / 2; ++i) {
     left.push_back(render(place(i), 0));
@@ -120,22 +131,24 @@ bool run(Exec const& exec, int frames) {
   ft::odometry<Exec> odometry(exec, rig(), params(), 1, ft::loops{});
   std::vector<lap_facts> laps;
   std::int64_t time = 0;
-  test::usage warm;
   int tracked = 0;
   for (int n = 0; n < frames / lap; ++n) {
-    laps.push_back(go_round(odometry, left, right, time));
+    laps.push_back(go_round(odometry, left, right, distance, time));
     tracked += laps.back().tracked;
     if (odometry.placed_keyframes().size() > 128 + 64) {
       throw std::runtime_error("too many keyframes are kept");
     }
-    if (n == frames / lap / 2) { warm = test::measure(); }
+    laps.back().memory = test::measure();
   }
-  test::usage const end = test::measure();
-  std::size_t const quarter = laps.size() / 4;
-  part_facts const second(laps, quarter, 2 * quarter);
-  part_facts const last(laps, laps.size() - quarter, laps.size());
-  second.print("second quarter");
-  last.print("last quarter  ");
+  std::vector<part_facts> quarters;
+  for (std::size_t q = 0; q < 4; ++q) {
+    quarters.emplace_back(laps, q * laps.size() / 4, (q + 1) * laps.size() / 4);
+    quarters.back().print(q + 1);
+  }
+  part_facts const& second = quarters[1];
+  part_facts const& last = quarters[3];
+  test::usage const& warm = laps[laps.size() / 2].memory;
+  test::usage const& end = last.memory;
   bool const flat = end.resident - warm.resident <= 8 << 20 && end.heap - warm.heap <= 1 << 20 &&
                     end.device - warm.device <= 2 << 20;
   std::printf(
@@ -156,9 +169,10 @@ bool run(Exec const& exec, int frames) {
 int main(int argc, char** argv) {
   try {
     int const frames = argc > 1 ? std::atoi(argv[1]) : 1600;
+    std::chrono::milliseconds const distance(argc > 2 ? std::atoi(argv[2]) : 0);
     if (frames < 8 * loops_soak::lap) { throw std::runtime_error("1600 frames or more"); }
     return soak_scene::on_backend([&](auto const& exec) {
-      return loops_soak::run(exec, frames) ? EXIT_SUCCESS : EXIT_FAILURE;
+      return loops_soak::run(exec, frames, distance) ? EXIT_SUCCESS : EXIT_FAILURE;
     });
   } catch (std::exception const& e) {
     std::fprintf(stderr, "loops_soak: %s\n", e.what());

@@ -300,6 +300,44 @@ TYPED_TEST(inertial_monocular, a_loaded_map_has_no_scale_yet) {
   EXPECT_EQ(t.state, ft::tracking_state::tracking);
 }
 
+TYPED_TEST(inertial_monocular, a_map_loaded_with_loops_keeps_its_scale) {
+  TypeParam backend;
+  using odometry_type = ft::odometry<decltype(backend.exec), rig_type>;
+  auto p = params();
+  p.loops.present = true;
+  odometry_type odo(backend.exec, rig(), p, 1, ft::inertial{}, ft::loops{});
+  ASSERT_TRUE(run(odo, sway(), swaying).back().metric);
+  auto const known = odo.placed_keyframes();
+  ASSERT_FALSE(known.empty());
+  std::stringstream file;
+  odo.save_map(file);
+  odo.load_map(file);
+  EXPECT_TRUE(odo.last().metric);
+  auto const all = run(odo, sway(), swaying);
+  EXPECT_TRUE(all.back().imu.known);
+  EXPECT_GT(odo.placed_keyframes().size(), known.size());
+  std::vector<timed> seen;
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    EXPECT_EQ(all[i].state, ft::tracking_state::tracking) << i;
+    EXPECT_EQ(all[i].maps, 1) << i;
+    EXPECT_TRUE(all[i].metric) << i;
+    seen.push_back({static_cast<double>(i) * seconds, all[i].T_world_camera});
+  }
+  EXPECT_NEAR(scale_of(seen, swaying), 1, 0.01);
+
+  p.imu.present = false;
+  odometry_type without(backend.exec, rig(), p, 1, ft::loops{});
+  std::int64_t time = 0;
+  for (std::size_t i = 0; i < 20; ++i) {
+    without.track(test::room::view(sway()[i]), time += period);
+  }
+  ASSERT_FALSE(without.placed_keyframes().empty());
+  std::stringstream unknown;
+  without.save_map(unknown);
+  EXPECT_THROW(odo.load_map(unknown), ft::bad_argument);
+  EXPECT_EQ(odo.last().maps, 1);
+}
+
 TYPED_TEST(inertial_monocular, refuses_limits_out_of_range) {
   TypeParam backend;
   using odometry_type = ft::odometry<decltype(backend.exec), rig_type>;

@@ -40,7 +40,7 @@ struct known {
       k.map = i < 3 ? 4 : 5;
       k.part = 4;
       k.time_ns = 100 * i;
-      k.path = 0.5 * i;
+      k.step = 0.5 * i;
       k.T_odom_camera.t = {0.1 * i, 0, 1};
       k.T_world_camera.t = {0.2 * i, 0, 1};
       put_information(k.information);
@@ -93,7 +93,7 @@ TEST(LoopFiles, ComeBackAsTheyWere) {
     EXPECT_EQ(is.map, was.map - 4) << "the last map is map 1";
     EXPECT_EQ(is.part, 1);
     EXPECT_EQ(is.time_ns, was.time_ns);
-    EXPECT_EQ(is.path, was.path);
+    EXPECT_EQ(is.step, was.step);
     EXPECT_EQ(std::memcmp(&is.T_odom_camera, &was.T_odom_camera, sizeof was.T_odom_camera), 0);
     EXPECT_EQ(std::memcmp(&is.T_world_camera, &was.T_world_camera, sizeof was.T_world_camera), 0);
     EXPECT_EQ(std::memcmp(is.information, was.information, sizeof was.information), 0);
@@ -140,7 +140,7 @@ TEST(LoopFiles, NumbersThatNobodyCanFollowAreRefused) {
       [](known& k) { k.path.keyframes[2].map = 3; },
       [](known& k) { k.path.keyframes[2].part = 5; },
       [](known& k) { k.path.keyframes[2].part = -(1 << 30); },
-      [](known& k) { k.path.keyframes[1].path = -1; },
+      [](known& k) { k.path.keyframes[1].step = -1; },
       [](known& k) { k.path.keyframes[1].T_odom_camera.t.x = 1e300; },
       [](known& k) { k.path.keyframes[1].T_world_camera.R.m[0] = -1; },
       [](known& k) { k.path.keyframes[1].T_world_camera.scale = 1.5; },

@@ -36,18 +36,16 @@ loop_path drifting_lap(int n, double drift) {
   loop_path path;
   path.reserve(200, 2);
   test::motion T = truth(0, n);
-  double way = 0;
   for (int i = 0; i < n; ++i) {
+    ft::detail::path_keyframe k;
     if (i > 0) {
       test::motion step = truth(i - 1, n).inverse() * truth(i, n);
       step.t.y += drift;  // on a circle it adds up
       T = T * step;
-      way += std::sqrt(ft::dot(step.t, step.t));
+      k.step = std::sqrt(ft::dot(step.t, step.t));
     }
-    ft::detail::path_keyframe k;
     k.row = i;
     k.map = k.part = 1;
-    k.path = way;
     k.time_ns = i * 1000;
     k.T_odom_camera = T.orthonormalized();
     k.T_world_camera = with_scale(k.T_odom_camera);
@@ -250,13 +248,18 @@ TEST(LoopPath, MapsOfOneCameraAreJoinedWhateverTheirUnits) {
     auto& k = path.keyframes[at(i)];
     k.T_odom_camera.t = ft::scaled(k.T_odom_camera.t, 1 / unit);
     k.T_world_camera = with_scale(k.T_odom_camera);
+    k.step /= unit;
   }
+  double const way = path.way(0, n / 2 - 1);  // half a circle
+  EXPECT_NEAR(path.way(n / 2, n - 1), way / unit, 1e-6);
   auto const loop = [&](int from, int to, double of_unit) {
     path_loop l = true_loop(from, to, n);
     l.T_from_to.scale = of_unit;
     l.scale_information = 1e6;
     return l;
   };
+  EXPECT_EQ(path.join(loop(1, n - 3, 200 * unit)) + path.join(loop(1, n - 2, 200 * unit)), 0)
+      << "nothing is so much deeper";
   EXPECT_EQ(path.join(loop(1, n - 3, unit)), 0);
   EXPECT_EQ(path.join(loop(0, n - 2, 1.1 * unit)), 0) << "another scale";
   EXPECT_EQ(path.join(loop(1, n - 1, unit)), 2);
@@ -266,6 +269,7 @@ TEST(LoopPath, MapsOfOneCameraAreJoinedWhateverTheirUnits) {
     EXPECT_LT(error(path, i, n), 1e-6) << i;
     EXPECT_NEAR(path.at(i).T_world_camera.scale, i < n / 2 ? 1 : unit, 1e-9) << i;
   }
+  EXPECT_NEAR(path.way(n / 2, n - 1), way, 1e-6);  // by which later loops are judged
 }
 
 TEST(LoopPath, MapsThatNothingJoinsKeepTheirPlaces) {

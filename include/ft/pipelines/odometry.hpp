@@ -2,6 +2,7 @@
 /// @file Pipeline: stereo odometry. Images in, poses out.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <istream>
@@ -307,7 +308,11 @@ public:
     p.results[i] = {};
     p.results[i].state = p.stages.enter_loaded_map(p.exec, b, has_loops);
     if constexpr (engine::stages_type::starts_from_motion) { p.stages.beginning.forget(p.exec, b); }
-    for (auto const& part : p.stages.plugged) { part->forget(p.exec, b, p.results[i]); }
+    p.results[i].metric = !engine::stages_type::starts_from_motion;
+    // An IMU is the first part, and comes last: loops know whether the map's unit is known.
+    auto const& parts = p.stages.plugged;
+    std::for_each(parts.rbegin(), parts.rend(),
+                  [&](auto const& part) { part->forget(p.exec, b, p.results[i]); });
     p.begun[i] = 0;
     p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
   }

@@ -126,7 +126,8 @@ struct tracking {
   tracking_state state = tracking_state::initialising;
   /// Lengths are metres. False of a monocular_rig, whose unit it says, until its IMU tells the
   /// scale of the map: in a frame with which an adjustment ends, at whose start all that is known
-  /// is scaled about the map's first camera. False again in a new or a loaded map.
+  /// is scaled about the map's first camera. False again in a new map, and in a loaded
+  /// one; but true with ft::loops if its IMU had told the scale.
   bool metric = true;
   bool keyframe = false;  ///< the frame became a keyframe
   int inliers = 0;        ///< keypoints that agree with the pose; 0 for a frame that is not tracked

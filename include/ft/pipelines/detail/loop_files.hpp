@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file What an odometry knows about its loops, as a file: it follows the map's.
 ///
-/// Version 2, little-endian, without padding:
+/// Version 3, little-endian, without padding:
 /// - 16 bytes "ft loop archive" and 0; uint32 version; uint32 0x01020304; uint64 bytes that follow
 ///   before the hash;
 /// - int32 keyframes, int32 loops, double gravity[3];
@@ -39,7 +39,7 @@ namespace detail {
 
 struct loop_file_head {
   char magic[16] = "ft loop archive";
-  std::uint32_t version = 2;
+  std::uint32_t version = 3;
   std::uint32_t order = 0x01020304;
   std::uint64_t bytes = 0;
 };
@@ -47,7 +47,7 @@ static_assert(sizeof(loop_file_head) == 32, "without padding");
 
 template <typename Visit>
 void each_number(path_keyframe& k, Visit const& visit) {
-  visit(k.map, k.part, k.steps, k.time_ns, k.path, k.T_odom_camera, k.T_world_camera,
+  visit(k.map, k.part, k.steps, k.time_ns, k.step, k.T_odom_camera, k.T_world_camera,
         k.information);
 }
 template <typename Visit>
@@ -161,7 +161,8 @@ inline void check_saved_similarity(similarity<double> const& T, bool scaled) {
   if (!scaled && T.scale != 1) {
     throw error("ft: the map file has scales: it is of one camera without an IMU");
   }
-  require_saved("a scale", T.scale, 1e-9, 1e9);
+  constexpr double most = 10 * loop_path::most_scale;  // it is optimised, and drifts
+  require_saved("a scale", T.scale, 1 / most, most);
 }
 
 /// @param cameras of the rig
@@ -227,7 +228,7 @@ saved_loops<Exec> read_loops(loop_archive_view const& like, loop_file_limits con
     require_saved("the number of a part", k.part, -most_maps, k.map);
     require_saved("the steps of a keyframe", k.steps, 1, most_counted - steps);
     steps += k.steps;
-    require_saved("the path to a keyframe", k.path, 0.0, 1e12);
+    require_saved("the way to a keyframe", k.step, 0.0, 1e12);
     check_saved_pose(k.T_odom_camera);
     check_saved_similarity(k.T_world_camera, most.scaled);
     check_saved_information(k.information);

@@ -53,7 +53,8 @@ struct path_keyframe {
   int map = 0;   ///< number of the map that it was tracked in
   int part = 0;  ///< that of the first map that loops have joined with it
   std::int64_t time_ns = 0;
-  double path = 0;  ///< length of the way to it, metres
+  /// Length of the way from the keyframe before, in the odometry's unit; 0 to the first of a map.
+  double step = 0;
   rigid<double> T_odom_camera = rigid<double>::identity();
   /// Its scale is that of the odometry's unit there.
   similarity<double> T_world_camera = similarity<double>::identity();
@@ -104,20 +105,34 @@ struct loop_path {
     return (k.T_world_camera * with_scale(k.T_odom_camera.inverse())).orthonormalized();
   }
 
+  /// Length of the way from a keyframe to a later one, metres, as scales are known now.
+  double way(int from, int to) const {
+    double sum = 0;
+    for (int i = from + 1; i <= to; ++i) { sum += at(i).T_world_camera.scale * at(i).step; }
+    return sum;
+  }
   /// Whether a loop fits the path: what it corrects is no more than the odometry may have drifted
   /// since, and as much more as a scale that has drifted explains. @param baseline of the rig,
   /// metres, which a loop may correct anyway
   bool fits(path_loop const& loop, loop_params const& params, double baseline) const {
     path_keyframe const& from = at(loop.from);
     path_keyframe const& to = at(loop.to);
-    if (from.part != to.part) { return false; }
+    if (from.part != to.part || !is_scale(loop)) { return false; }
     auto const off = to.T_world_camera.inverse() * (from.T_world_camera * loop.T_from_to);
-    double const way = to.path - from.path;
+    double const way = this->way(loop.from, loop.to);
     double const scaled_by = std::abs(std::log(off.scale));
     double const drift = static_cast<double>(params.max_drift) + scaled_by;
     return to.T_world_camera.scale * length(off.t) <= drift * way + baseline &&
            scaled_by <= static_cast<double>(params.max_scale_drift) &&
            angle(off.R) <= static_cast<double>(params.max_turn) + 0.01 * way;
+  }
+  /// Units of the first map that one of another map is at most, and the same of their inverse: each
+  /// begins with a median depth of 1, and scenes are not 100 times as deep as others.
+  static constexpr double most_scale = 100;
+  /// Whether the keyframe that a loop leads to has such a unit.
+  bool is_scale(path_loop const& loop) const {
+    double const scale = at(loop.from).T_world_camera.scale * loop.T_from_to.scale;
+    return scale >= 1 / most_scale && scale <= most_scale;
   }
   /// The newest keyframes of the part of the last one, at most so many.
   int newest(int most) const {
@@ -151,6 +166,7 @@ struct loop_path {
   /// joined: the later one moves to where they say, and both loops are kept.
   /// @return how many loops are kept
   int join(path_loop const& loop) {
+    if (!is_scale(loop)) { return 0; }
     int const from = at(loop.from).part, to = at(loop.to).part;
     auto const of_both = [&](path_loop const& l) {
       return at(l.from).part == from && at(l.to).part == to;
@@ -287,15 +303,19 @@ private:
   template <typename Freed>
   void move_keyframes(Freed const& freed) {
     int kept = 0, steps = 0;
+    double step = 0;
     for (int i = 0; i < size(); ++i) {
       if (!stays(i)) {
         freed(at(i).row);
         steps = number(i) < 0 ? 0 : at(i).steps;
+        step = number(i) < 0 ? 0 : at(i).step;
         continue;
       }
       path_keyframe k = at(i);
       k.steps += steps;
+      k.step += step;
       steps = 0;
+      step = 0;
       keyframes[static_cast<std::size_t>(kept++)] = k;
     }
     keyframes.resize(static_cast<std::size_t>(kept));

@@ -73,10 +73,12 @@ public:
     exec.wait();
   }
 
-  /// Forgets what is known about the IMU of camera pair b. Waits.
-  void forget(Exec const& exec, int b, tracking&) override {
+  /// Forgets what is known about the IMU of camera pair b. Waits. @param last of its map, whose
+  /// number is 1
+  void forget(Exec const& exec, int b, tracking& last) override {
     queue(b).clear();
     outputs_[b] = inertial_track::initial();
+    if (view_.seeks_scale && last.metric) { outputs_[b].metric = outputs_[b].map = 1; }
     copy(exec, view_.tracks + b, static_cast<inertial_track const*>(outputs_ + b), std::size_t{1});
     fill_bytes(exec, view_.prior + b, 0, sizeof(inertial_prior));
     // No interval before has an integral.

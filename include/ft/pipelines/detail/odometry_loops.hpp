@@ -92,18 +92,20 @@ public:
   void read(std::istream* from) override {
     saved_.reset();
     if (from == nullptr) { return; }
-    require(!awaits_scale_,
-            "the map is not loaded: one camera with an IMU would find its scale anew, beside saved "
-            "places");
-    saved_ = std::make_unique<saved_loops<Exec>>(
+    auto saved = std::make_unique<saved_loops<Exec>>(
         read_loops<Exec>(archive_.view(),
                          {params_.keyframes + margin / 2, path_.most_loops(),
                           keyframe_task<searched_rig>::depth_cameras, path_.scaled},
                          *from));
+    // An IMU that has told the scale has told gravity, too.
+    require(!awaits_scale_ || saved->keyframes.empty() || dot(saved->gravity, saved->gravity) > 0,
+            "the map is not loaded: it was made without an IMU, so its scale is not known");
+    saved_ = std::move(saved);
   }
   void forget(Exec const& exec, int, tracking& last) override {
     forget_all();
     if (saved_ != nullptr) { enter(exec, *std::exchange(saved_, nullptr)); }
+    last.metric = last.metric || metric_map_ > 0;
     tell_correction(last);
   }
   void list_placed(std::vector<placed_keyframe>& to) const override {
@@ -146,7 +148,7 @@ private:
       path_keyframe const& last = path_.keyframes.back();
       vec3<double> const step = (last.T_odom_camera.inverse() * k.T_odom_camera).t;
       bool const goes_on = last.map == k.map;
-      k.path = last.path + (goes_on ? T_world_odom_.scale * std::sqrt(dot(step, step)) : 0.0);
+      k.step = goes_on ? std::sqrt(dot(step, step)) : 0.0;
       k.part = goes_on ? last.part : k.map;
     }
     keep_keyframe(exec, with_points(exec, stages), 0, k.row, archive_.view());
@@ -223,6 +225,7 @@ private:
     searched_ = path_.size();
     T_world_odom_ = path_.T_world_odom();
     corrected_ = loaded_ = path_.size() > 0;
+    if (awaits_scale_ && loaded_) { metric_map_ = path_.keyframes.back().map; }
   }
   void forget_all() {
     if (running_) { finish(); }

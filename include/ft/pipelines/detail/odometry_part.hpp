@@ -76,7 +76,7 @@ public:
   /// Camera pair b begins anew.
   virtual void reset(int /*b*/) {}
   /// Camera pair b got another map. May wait. @param last gets where the map's frame is, if that
-  /// is not the world's
+  /// is not the world's, and whether its unit is known
   virtual void forget(Exec const&, int /*b*/, tracking& /*last*/) {}
   /// Takes the features of the next frame of camera pair b; false if this part takes none.
   /// @throws bad_argument

@@ -61,6 +61,7 @@ ft::keypoints<ft::memory_space::host> random_pairs(unsigned seed) {
 struct match {
   float right_x, depth;
   int score;
+  int rival = 0;
 };
 
 bool is_candidate(ft::pyramid_geometry const& g, ft::keypoints_view const& l, int i,
@@ -101,6 +102,15 @@ std::vector<match> expected(ft::keypoints_view const& all, int pair) {
     if (!nearest || !(disparity > 0)) { continue; }
     out[i] = {g.level_column(column, octave), g.level_depth(params().bf / disparity, octave),
               distance[i]};
+    int const most = std::min(distance[i] + 7, params().hamming_limit - 1);
+    float const apart = 11 * g.scale[octave];
+    for (int k = 0; k < *r.count; ++k) {
+      bool const elsewhere = std::abs(r.x(k) - r.x(j)) >= apart;
+      if (elsewhere && is_candidate(g, l, static_cast<int>(i), r, k) &&
+          ft::hamming(l.orb(static_cast<int>(i)), r.orb(k)) <= most) {
+        out[i].rival = 1;
+      }
+    }
   }
   return out;
 }
@@ -130,6 +140,7 @@ TYPED_TEST(stereo_by_descriptors, finds_what_a_loop_over_all_pairs_finds) {
                              params(), work.view(), matches.view());
     auto const found = ft::download(backend.exec, matches.view());
     int some = 0;
+    int rivals = 0;
     for (int pair = 0; pair < pairs; ++pair) {
       auto const m = found.view().slice(pair);
       auto const want = expected(given.view(), pair);
@@ -139,10 +150,14 @@ TYPED_TEST(stereo_by_descriptors, finds_what_a_loop_over_all_pairs_finds) {
         ASSERT_EQ(m.score(i), w.score) << pair << " " << i;
         ASSERT_EQ(m.right_x(i), w.right_x) << pair << " " << i;
         ASSERT_EQ(m.depth(i), w.depth) << pair << " " << i;
+        if (w.score >= 0) { ASSERT_EQ(m.rival(i), w.rival) << pair << " " << i; }
         some += static_cast<int>(w.score >= 0);
+        rivals += w.rival;
       }
     }
     EXPECT_GT(some, pairs * 10);
+    EXPECT_GT(rivals, 0);
+    EXPECT_LT(rivals, some);
   }
 }
 

@@ -110,6 +110,32 @@ TYPED_TEST(WatchImages, AreComparedWithTheFrameBefore) {
   }
 }
 
+TYPED_TEST(WatchImages, StreaksAreToldFromWhatIsSharpOrSoftInBothDirections) {
+  TypeParam backend;
+  camera<typename TypeParam::exec_type> c(backend.exec, 320, 240);
+  // Means over runs of so many pixels along the rows and the columns.
+  auto const smeared = [](int x, int y, int along_x, int along_y) {
+    int sum = 0;
+    for (int i = 0; i < along_x * along_y; ++i) {
+      sum += texture(x + i / along_y, y + i % along_y);
+    }
+    return sum / (along_x * along_y);
+  };
+  struct row {
+    int along_x, along_y;
+    bool streaked;
+  };
+  for (row const& r : {row{1, 1, false}, row{3, 1, false}, row{5, 1, true}, row{1, 5, true},
+                       row{16, 1, true}, row{6, 6, false}, row{6, 2, true}}) {
+    c.see([&](int i, int x, int y) { return i == 0 ? smeared(x, y, r.along_x, r.along_y) : 90; });
+    EXPECT_EQ(c.of(0).streaked, r.streaked ? 1 : 0) << r.along_x << " x " << r.along_y;
+    EXPECT_EQ(c.of(1).streaked, 0) << "without contrast";
+  }
+  // Upright bars: along the columns there is noise alone.
+  c.see([&](int, int x, int y) { return 60 + 80 * (x / 40 % 2) + texture(x, y) / 40; });
+  EXPECT_EQ(c.of(0).streaked, 0);
+}
+
 TYPED_TEST(WatchImages, NothingIsFixedInAFlatOrAStillImage) {
   TypeParam backend;
   camera<typename TypeParam::exec_type> c(backend.exec, 64, 48);

@@ -225,10 +225,12 @@ TEST(WarningsOfFrames, EachHasItsCause) {
          t.evidence.facts.with_disparity = 200;
          t.evidence.facts.off_disparity = 60;
        }},
+      {warning::stereo_inconsistent, [](ft::tracking& t) { t.evidence.ambiguous = 63; }},
       {warning::depth_scale, [](ft::tracking& t) { t.distant_points = 300; }},
       {warning::dark, [](ft::tracking& t) { t.light.mean = 15; }},
       {warning::bright, [](ft::tracking& t) { t.light.mean = 240; }},
       {warning::low_texture, [](ft::tracking& t) { t.light.deviation = 4; }},
+      {warning::blurred, [](ft::tracking& t) { t.evidence.streaked = 2; }},
       {warning::blurred,
        [](ft::tracking& t) {
          t.keypoints = 119;
@@ -258,6 +260,8 @@ TEST(WarningsOfFrames, WhatIsRightHasNone) {
         t.evidence.facts.common = 256;
         t.evidence.facts.common_disparity = 512;
       },
+      [](ft::tracking& t) { t.evidence.streaked = 1; },    // of two images
+      [](ft::tracking& t) { t.evidence.ambiguous = 62; },  // an eighth, rounded down
       // Two cameras that look past each other.
       [](ft::tracking& t) {
         t.evidence.rectified = false;

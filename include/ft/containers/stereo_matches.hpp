@@ -14,11 +14,14 @@ namespace field {
 FT_FIELD(right_x, float);  ///< column in the right image, pixels; -1 = no match
 FT_FIELD(depth, float);    ///< metres along the left camera's axis; -1 = no match
 FT_FIELD(score, int);      ///< sum of absolute differences of the refinement; -1 = no match
+/// 1 = another right keypoint, elsewhere on the rows, is as near. Written where right keypoints are
+/// compared by rows; of those without a match it means nothing.
+FT_FIELD(rival, int);
 }  // namespace field
 
-using stereo_matches_view = soa_view<field::right_x, field::depth, field::score>;
+using stereo_matches_view = soa_view<field::right_x, field::depth, field::score, field::rival>;
 template <memory_space Space>
-using stereo_matches = soa<Space, field::right_x, field::depth, field::score>;
+using stereo_matches = soa<Space, field::right_x, field::depth, field::score, field::rival>;
 
 // Stereo partners and points of two cameras without rectification.
 

@@ -108,6 +108,10 @@ public:
   float const* depth() const {
     return Rig::rectified ? array_of<field::depth>(memory_->matches) : memory_->fisheye.depth;
   }
+  /// [pairs][capacity] field::rival; null if the rig is not rectified
+  int const* rival() const {
+    return Rig::rectified ? array_of<field::rival>(memory_->matches) : nullptr;
+  }
   std::size_t bytes() const { return memory_.bytes(); }  ///< of executor memory
   /// Of camera c of a rig.
   stereo_params const& params(int c = 0) const { return params_.of_pair(c); }

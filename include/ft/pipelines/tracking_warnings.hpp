@@ -45,6 +45,7 @@ struct warning_limits {
   int few_keypoints = 120;             ///< of all cameras, with less than which an image is blurred
   double least_stereo_share = 0.3;     ///< of keypoints of a rectified pair with a stereo match
   double stereo_drop = 0.65;           ///< or of that share, as a share of the usual one
+  double ambiguous_share = 0.125;      ///< of depths, above which the scene repeats along the rows
   int moving_points = 20;              ///< that move otherwise than the rest, at least
   double moving_share = 1.0 / 16;      ///< and as a share of all that are fixed to a camera
   std::int64_t stays_ns = 1000000000;  ///< a doubt about a pose is one about the second after it
@@ -72,6 +73,8 @@ inline bool has_odd_stereo(tracking const& t, warning_limits const& limits) {
   if (f.with_disparity >= limits.moving_points && 4 * f.off_disparity > f.with_disparity) {
     return true;
   }
+  int const n = t.evidence.ambiguous;
+  if (n >= limits.moving_points && n > limits.ambiguous_share * t.stereo_points) { return true; }
   if (t.depths != depth_origin::stereo) { return false; }
   if (t.keypoints < limits.few_keypoints) { return false; }
   double const share = t.evidence.stereo_share;
@@ -127,6 +130,7 @@ public:
     all = {};
     add_light_warnings(t, limits, all);
     bool const unlit = !all.empty();
+    if (2 * e.streaked > e.images) { all.add(tracking_warning::blurred); }
     if (t.map_begun && t.maps > 1) { all.add(tracking_warning::new_map); }
     if (2 * t.distant_points > t.stereo_points) { all.add(tracking_warning::depth_scale); }
     if (repeats(t)) { all.add(tracking_warning::images_repeat); }
@@ -157,7 +161,8 @@ public:
     }
     for (tracking_warning const w :
          {tracking_warning::doubtful_pose, tracking_warning::two_motions,
-          tracking_warning::images_repeat, tracking_warning::stereo_inconsistent}) {
+          tracking_warning::images_repeat, tracking_warning::stereo_inconsistent,
+          tracking_warning::blurred}) {
       auto& said = said_ns_[static_cast<int>(w)];
       if (all.has(w)) { said = time_ns; }
       if (said >= 0 && time_ns - said <= limits.stays_ns) { all.add(w); }
@@ -233,7 +238,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              std::to_string(f.off_disparity) + " of " + std::to_string(f.with_disparity) +
              " do not agree with the map; of the variance of their errors neighbours share " +
              detail::share_of(f.common_disparity, 1024) +
-             ": are both images taken at the same time?";
+             ": are both images taken at the same time? " + std::to_string(e.ambiguous) +
+             " depths may be others, for their rows repeat";
     case tracking_warning::depth_scale:
       return std::to_string(t.distant_points) + " of " + std::to_string(t.stereo_points) +
              " depths are beyond " + number(static_cast<double>(distant_baselines)) + " baselines";
@@ -244,7 +250,10 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
     case tracking_warning::low_texture:
       return "almost uniform is " + light;
     case tracking_warning::blurred:
-      return "only " + std::to_string(t.keypoints) + " keypoints: blurred, or without texture";
+      return std::to_string(t.keypoints) + " keypoints, and " + std::to_string(e.streaked) +
+             " of " + std::to_string(e.images) +
+             " images are sharp in one direction only, in this frame; or it was so in the last "
+             "second: blurred, or without texture";
     case tracking_warning::imu_not_used:
       return detail::unused_imu_text(t.imu, params.imu);
     case tracking_warning::imu:

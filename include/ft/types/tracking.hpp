@@ -54,12 +54,14 @@ enum class tracking_warning : int {
   doubtful_pose,        ///< few keypoints agree with the pose: it may be another one
   two_motions,          ///< things move, or are fixed to a camera, in a large part of the images
   images_repeat,        ///< images are those of the frame before while the camera moves
-  stereo_inconsistent,  ///< depths do not agree with the map, or hardly any keypoint has one
+  stereo_inconsistent,  ///< depths do not agree with the map, hardly any keypoint has one, or the
+                        ///< scene repeats along the rows, so that they may be others
   depth_scale,          ///< most depths are beyond distant_baselines
   dark,                 ///< an image is nearly black
   bright,               ///< an image is nearly white
   low_texture,          ///< an image has hardly any contrast
-  blurred,              ///< too few corners in images that have contrast
+  blurred,              ///< too few corners in images that have contrast, or most images are sharp
+                        ///< in one direction only: a motion has smeared them
   imu,                  ///< see imu_warnings()
   imu_not_used,         ///< the IMU could have been used for long, and was not
 };
@@ -98,11 +100,14 @@ struct frame_facts {
 
 /// What warnings are decided by, of one frame.
 struct tracking_evidence {
-  frame_facts facts;        ///< of matches and pose
-  int images = 0;           ///< of the rig
-  int same = 0;             ///< of these, those with the pixels of the frame before
-  int textured = 0;         ///< parts of the images with contrast
-  int moved = 0;            ///< of these, those with another content than a frame before
+  frame_facts facts;  ///< of matches and pose
+  int images = 0;     ///< of the rig
+  int same = 0;       ///< of these, those with the pixels of the frame before
+  int streaked = 0;   ///< and those that are sharp in one direction only
+  int textured = 0;   ///< parts of the images with contrast
+  int moved = 0;      ///< of these, those with another content than a frame before
+  int ambiguous = 0;  ///< of tracking::stereo_points, those whose rows of the right image have
+                      ///< another keypoint, elsewhere, that is as near; of rectified pairs
   double stereo_share = 0;  ///< of keypoints with a depth
   bool rectified = true;    ///< all of an image but its border is in a pair's other image, too
   double usual_stereo_share = 0;  ///< the same in the frames before; 0 = not known yet

@@ -119,6 +119,7 @@ struct take_partner {
     out.right_x(item) = right;
     out.depth(item) = depth;
     out.score(item) = right >= 0 || depth > 0 ? 0 : -1;
+    out.rival(item) = 0;
   }
 
 private:

@@ -30,6 +30,7 @@ struct image_changes {
   int still;            ///< and those whose content is where it was
   int same;             ///< 1 = all samples are those of the frame before
   int sum, squares;     ///< of all samples
+  int streaked;         ///< 1 = sharp in one direction only: blurred by a motion
   int fixed;            ///< number of cells in `now`
   unsigned now[words];  ///< cells that stay while the rest moves, in this frame or for a few frames
   unsigned long_since[words];  ///< and those that did for many frames
@@ -67,6 +68,34 @@ inline void carve(carver& c, image_changes_view& v, int images) {
 
 namespace detail {
 
+/// How sharp an image is along its rows and its columns: squared differences of pixels that are 2
+/// and 8 apart. Of an edge that a motion has smeared over L pixels the former is 4 / L and the
+/// latter 8 - L / 3, for L from 2 to 8; of a sharp one they are 2 and 8.
+struct image_slopes {
+  int near_x = 0, near_y = 0, far_x = 0, far_y = 0;
+  static constexpr int near = 1, far = 4;  ///< pixels to either side
+
+  FT_HOST_DEVICE void add(image_view<std::uint8_t> const& image, int x, int y) {
+    x = clamp(x, far, image.width - 1 - far);
+    y = clamp(y, far, image.height - 1 - far);
+    auto const squared = [&](int dx, int dy) {
+      int const d = int{image.row(y + dy)[x + dx]} - int{image.row(y - dy)[x - dx]};
+      return d * d;
+    };
+    near_x += squared(near, 0);
+    near_y += squared(0, near);
+    far_x += squared(far, 0);
+    far_y += squared(0, far);
+  }
+  /// Whether near differences are a part of the far ones that is half as large in one direction as
+  /// in the other: a streak of 5 pixels. Not where one direction has no edges, only noise.
+  FT_HOST_DEVICE bool is_streaked() const {
+    auto const across = std::int64_t{near_x} * far_y, down = std::int64_t{near_y} * far_x;
+    bool const both = 8 * std::int64_t{far_x} > far_y && 8 * std::int64_t{far_y} > far_x;
+    return both && (2 * across < down || 2 * down < across);
+  }
+};
+
 /// Item: an image. Threads have cells.
 struct watch_image {
   static constexpr bool wide_on_host = true;
@@ -87,6 +116,7 @@ struct watch_image {
     bool const first = v.begun[i] == 0;
     int textured = 0, moved = 0, still = 0, known = 0, differ = 0, changed = 0, sum = 0,
         squares = 0;
+    image_slopes slopes;
     for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
       compared const to = compare(image, v, i, c, first);
       textured += static_cast<int>(to.is_textured());
@@ -98,9 +128,16 @@ struct watch_image {
       s.still[c] = to.is_still() ? 1 : 0;
       sum += to.sum;
       squares += to.squares;
+      for (int k = 0; k < samples; k += 2) {  // half of them, like a chessboard's squares
+        sample const at = sample_of(image, c, k + k / image_changes::side % 2);
+        slopes.add(image, at.x, at.y);
+      }
     }
     four_sums const counts = g.reduce(four_sums{{textured, moved, still, known}}, sum_op{});
     four_sums const grey = g.reduce(four_sums{{differ, sum, squares, changed}}, sum_op{});
+    four_sums const steep =
+        g.reduce(four_sums{{slopes.near_x, slopes.near_y, slopes.far_x, slopes.far_y}}, sum_op{});
+    slopes = {steep.of[0], steep.of[1], steep.of[2], steep.of[3]};
     textured = counts.of[0];
     moved = counts.of[1];
     still = counts.of[2];
@@ -119,6 +156,7 @@ struct watch_image {
       out.same = !first && grey.of[0] == 0 ? 1 : 0;
       out.sum = grey.of[1];
       out.squares = grey.of[2];
+      out.streaked = slopes.is_streaked() ? 1 : 0;
       v.begun[i] = 1;
     }
     for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
@@ -170,13 +208,15 @@ private:
     }
   };
 
-  FT_HOST_DEVICE static int pixel(image_view<std::uint8_t> const& image, int cell, int s) {
+  struct sample {
+    int x, y;
+  };
+  FT_HOST_DEVICE static sample sample_of(image_view<std::uint8_t> const& image, int cell, int s) {
     constexpr int across = image_changes::columns * image_changes::side;
     constexpr int down = image_changes::rows * image_changes::side;
     int const x = cell % image_changes::columns * image_changes::side + s % image_changes::side;
     int const y = cell / image_changes::columns * image_changes::side + s / image_changes::side;
-    return image.row((2 * y + 1) * image.height /
-                     (2 * down))[(2 * x + 1) * image.width / (2 * across)];
+    return {(2 * x + 1) * image.width / (2 * across), (2 * y + 1) * image.height / (2 * down)};
   }
   FT_HOST_DEVICE static std::ptrdiff_t place(int i, int cell, int s) {
     return (static_cast<std::ptrdiff_t>(i) * samples + s) * image_changes::cells + cell;
@@ -190,7 +230,8 @@ private:
     int reference = 0, last_sum = 0;
     FT_UNROLL
     for (int k = 0; k < samples; ++k) {
-      grey[k] = pixel(image, cell, k);
+      sample const at = sample_of(image, cell, k);
+      grey[k] = image.row(at.y)[at.x];
       then[k] = first ? 0 : v.reference[place(i, cell, k)];
       prior[k] = first ? 0 : v.last[place(i, cell, k)];
       out.differs = out.differs || first || prior[k] != grey[k];

@@ -44,7 +44,8 @@ struct propose_partner {
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, pyramid_geometry const& geometry,
                                  keypoints_view const& keypoints,
                                  feature_grid_view const& right_rows, stereo_params const& params,
-                                 partner_proposals const& out) const {
+                                 partner_proposals const& out,
+                                 stereo_matches_view const& matches) const {
     int const pair = item / keypoints.capacity;
     int const i = item % keypoints.capacity;
     keypoints_view const left = keypoints.slice(2 * pair);
@@ -59,9 +60,14 @@ struct propose_partner {
     int const begin = rows.start[max_of(row - reach, 0)];
     int const end = rows.start[min_of(row + reach, geometry.height[0] - 1) + 1];
     candidate_band const band(geometry, mine, row, params.max_disparity);
-    row_candidate const found = nearest_in_rows(
-        g, mine.orb, band, right, {rows.indices + begin, end - begin}, params.hamming_limit);
-    if (found.keypoint < 0 || g.rank() != 0) { return; }
+    span<int const> const listed{rows.indices + begin, end - begin};
+    row_candidate const found =
+        nearest_in_rows(g, mine.orb, band, right, listed, params.hamming_limit);
+    if (found.keypoint < 0) { return; }
+    bool const rival =
+        has_rival(g, mine, band, geometry, right, listed, found, params.hamming_limit);
+    if (g.rank() != 0) { return; }
+    matches.rival(item) = rival ? 1 : 0;
     out.partner[item] = found.keypoint;
     atomic_min(out.best + static_cast<std::ptrdiff_t>(pair) * keypoints.capacity + found.keypoint,
                partner_proposals::key(found.distance, i));
@@ -121,7 +127,7 @@ void match_by_descriptors(Exec const& exec, pyramid_geometry const& geometry,
   int const items = keypoints.batch / 2 * keypoints.capacity;
   fill_bytes(exec, work.best, 0xff, static_cast<std::size_t>(items) * sizeof *work.best);
   for_each_item<per_warp>(exec, items, detail::propose_partner{}, geometry, keypoints, right_rows,
-                          params, work);
+                          params, work, out);
   for_each_item<per_thread>(exec, items, detail::keep_partner{}, geometry, keypoints, params, work,
                             out);
 }

@@ -97,8 +97,12 @@ struct match_left_keypoint {
     g.sync();  // keeps the compiler from making these loads wait for those of the rows
     span<int const> const listed{rows.indices + begin, end - begin};
     candidate_band const band(pyramid.geometry, mine, row, params.max_disparity);
-    int const j = nearest_in_rows(g, mine.orb, band, right, listed, params.hamming_limit).keypoint;
+    row_candidate const found =
+        nearest_in_rows(g, mine.orb, band, right, listed, params.hamming_limit);
+    int const j = found.keypoint;
     if (j < 0) { return; }
+    bool const rival =
+        has_rival(g, mine, band, pyramid.geometry, right, listed, found, params.hamming_limit);
     int const ur = round_away(mul(right.x(j), inv));
     if (ur < 2 * window_half || ur + window_side >= level_r.width) { return; }  // as above
 
@@ -114,6 +118,7 @@ struct match_left_keypoint {
     out.depth(item) = (params.bf / r.disparity).value;
     out.right_x(item) = r.column.value;
     out.score(item) = r.score;
+    out.rival(item) = rival ? 1 : 0;
   }
 
 private:

@@ -77,10 +77,12 @@ inline tracking tracking_of(odometry_output const& o) {
   t.light = light_of(o.light);
   t.map_id = o.state == tracking_state::initialising ? 0 : o.maps;
   t.evidence.facts = o.facts;
+  t.evidence.ambiguous = o.ambiguous;
   t.evidence.images = o.changes.images;
   t.evidence.same = o.changes.same;
   t.evidence.textured = o.changes.textured;
   t.evidence.moved = o.changes.moved;
+  t.evidence.streaked = o.changes.streaked;
   t.start = o.start.outcome;
   t.start_matches = o.start.matches;
   if (o.begins_first_map != 0) { return t; }

@@ -43,6 +43,7 @@ struct change_counts {
   int same = 0;      ///< of these, those with the pixels of the frame before
   int textured = 0;  ///< cells of all
   int moved = 0;     ///< of these, cells with another content
+  int streaked = 0;  ///< images that are sharp in one direction only
 };
 
 /// What the host reads of a camera after a frame.
@@ -56,8 +57,9 @@ struct odometry_output {
   int inliers;
   int keypoints;
   int with_depth;
-  int distant;  ///< of with_depth, those beyond distant_baselines
-  int agreed;   ///< with the pose that was tried last
+  int distant;    ///< of with_depth, those beyond distant_baselines
+  int ambiguous;  ///< of with_depth, those with a field::rival
+  int agreed;     ///< with the pose that was tried last
   light_sums light;
   change_counts changes;
   frame_facts facts;

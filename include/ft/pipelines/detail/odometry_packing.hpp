@@ -25,6 +25,7 @@ namespace detail {
 struct tracking_facts {
   int const* inliers;
   float const* depth;        ///< [batch][depth_cameras * capacity] metres
+  int const* rival;          ///< likewise, field::rival; null = no pairs are rectified
   float const* information;  ///< [batch][information_terms]
   int const* local_count;
   int const* local_left_out;
@@ -65,6 +66,7 @@ FT_HOST_DEVICE inline change_counts count_changes(image_changes_view const& chan
     n.same += of.same;
     n.textured += of.textured;
     n.moved += of.moved;
+    n.streaked += of.streaked;
   }
   return n;
 }
@@ -97,19 +99,22 @@ struct pack_tracking {
     int left = 0;
     int with_depth = 0;
     int distant = 0;
+    int ambiguous = 0;
     for (int c = 0; c < facts.depth_cameras; ++c) {
       int const count = *frame.camera(b, c).count;
-      float const* const depth =
-          facts.depth +
+      std::ptrdiff_t const first =
           (static_cast<std::ptrdiff_t>(b) * facts.depth_cameras + c) * frame.capacity();
+      float const* const depth = facts.depth + first;
       for (int i = g.rank(); i < count; i += g.size()) {
         with_depth += static_cast<int>(depth[i] > 0);
         distant += static_cast<int>(depth[i] > facts.distant);
+        if (facts.rival != nullptr && depth[i] > 0) { ambiguous += facts.rival[first + i]; }
       }
       left += count;
     }
     with_depth = g.reduce(with_depth, sum_op{});
     distant = g.reduce(distant, sum_op{});
+    ambiguous = g.reduce(ambiguous, sum_op{});
     if (g.rank() != 0) { return; }
     camera_track& t = state.tracks[b];
     bool const inserted = state.order[b] != keyframe_order::none;
@@ -124,6 +129,7 @@ struct pack_tracking {
     out.keypoints = left;
     out.with_depth = with_depth;
     out.distant = distant;
+    out.ambiguous = ambiguous;
     out.agreed = t.agreed;
     out.facts = t.facts;
     out.start = facts.start == nullptr ? start_report{} : facts.start[b];

@@ -262,9 +262,11 @@ public:
                   own.state);
   }
   void pack_outputs(Exec const& exec) const {
-    tracking_facts facts{memory.observations.inliers, this->matcher.depth(), own.information,
-                         memory.local.device.count,   own.local_left_out,    own.keyframe_out.held,
-                         own.keyframe_out.left_out,   own.sources.left_out,  own.map.records.alive,
+    tracking_facts facts{memory.observations.inliers, this->matcher.depth(),
+                         rival_of(this->matcher),     own.information,
+                         memory.local.device.count,   own.local_left_out,
+                         own.keyframe_out.held,       own.keyframe_out.left_out,
+                         own.sources.left_out,        own.map.records.alive,
                          memory.result.depth_cameras};
     facts.distant = (this->rig.baseline_length() * distant_baselines).value;
     if constexpr (starts_from_motion) { facts.start = beginning.begins().report; }

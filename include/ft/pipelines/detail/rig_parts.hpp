@@ -88,6 +88,16 @@ keypoint_grids<Rig::rectified> grids_of(stereo_matcher<Exec, Rig> const& matcher
   return {cells, matcher.right_rows()};
 }
 
+/// field::rival of rigs whose depths are all those of rectified pairs, else null.
+template <typename Exec, typename Rig>
+int const* rival_of(stereo_matcher<Exec, Rig> const& matcher) {
+  return matcher.rival();
+}
+template <typename Matcher>
+int const* rival_of(Matcher const&) {
+  return nullptr;
+}
+
 }  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

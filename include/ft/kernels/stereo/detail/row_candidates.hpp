@@ -108,6 +108,32 @@ FT_HOST_DEVICE row_candidate nearest_in_rows(Group g, descriptor const& mine,
           distance};
 }
 
+/// Two distances of one pattern, seen by two cameras, differ by so much: the standard deviation of
+/// the difference of two numbers of 24 to 40 independent bits of 256, those of right partners.
+inline constexpr int as_near = descriptor_scale::limit(7);
+
+/// Whether another listed right keypoint is as near as the one that was found, at least 11 pixels
+/// of the level away from it, where windows have no pixel in common: the image repeats along the
+/// row.
+template <typename Group>
+FT_HOST_DEVICE bool has_rival(Group g, row_feature const& mine, candidate_band const& is_candidate,
+                              pyramid_geometry const& geometry, keypoints_view const& right,
+                              span<int const> listed, row_candidate const& found,
+                              int hamming_limit) {
+  float const apart = mul(11.0f, geometry.scale[mine.octave]);
+  float const x = right.x(found.keypoint);
+  int const most = min_of(found.distance + as_near, hamming_limit - 1);
+  int rivals = 0;
+  for (int k = g.rank(); k < listed.size; k += g.size()) {
+    int const j = listed[k];
+    float const away = right.x(j) - x;
+    if ((away < apart) & (away > -apart)) { continue; }
+    if (!is_candidate(right.x(j), right.y(j), right.octave(j))) { continue; }
+    rivals += static_cast<int>(search_distance(mine.orb, right.orb(j)) <= most);
+  }
+  return g.reduce(rivals, sum_op{}) > 0;
+}
+
 }  // namespace detail
 }  // namespace FT_ABI
 }  // namespace ft

@@ -29,8 +29,7 @@ struct live_options {
   int new_points = 300;     ///< per keyframe; half of them are held by the next frame's last one
   int moved_points = 2000;  ///< per keyframe, by local bundle adjustment
   int pause_us = 3000;      ///< between frames
-  bool projections = true;
-  bool samples = false;  ///< also put every frame's times into the results
+  bool samples = false;     ///< also put every frame's times into the results
 };
 
 class live_run {
@@ -43,7 +42,7 @@ public:
       : options_(o),
         settings_(kitti()),
         statistics_(statistics),
-        gpu_(std::move(device), settings_, choices(o, statistics)),
+        gpu_(std::move(device), settings_, choices(statistics)),
         hooks_(gpu_) {
     for (int i = 0; i < 2; ++i) {
       left_[i] = picture(settings_, 2 * i);
@@ -109,10 +108,9 @@ private:
     accelerator* gpu;
   };
 
-  static ft::orbslam3::options choices(live_options const& o, bool statistics) {
+  static ft::orbslam3::options choices(bool statistics) {
     ft::orbslam3::options c;
     c.detection = ft::orbslam3::change_detection::hooks;
-    c.fill_projections = o.projections;
     c.statistics = statistics;
     return c;
   }

@@ -16,16 +16,6 @@
 
 namespace bench {
 
-/// EuRoC's size and camera.
-inline ft::orbslam3::settings euroc() {
-  ft::orbslam3::settings s;
-  s.width = 752;
-  s.height = 480;
-  s.features = 1200;
-  s.left = {ft::orbslam3::lens::pinhole, {435.2f, 435.2f, 367.2f, 252.2f}};
-  s.bf = 0.11f * 435.2f;
-  return s;
-}
 /// KITTI's raw images, 1392x512, with 2000 features.
 inline ft::orbslam3::settings kitti() {
   ft::orbslam3::settings s;
@@ -64,15 +54,12 @@ inline stand_in::matrix picture(ft::orbslam3::settings const& s, int shift) {
 /// objects.
 class scattered_map {
 public:
-  /// @param depth of the points that keypoints see, metres; 0 = random
-  scattered_map(stand_in::frame const& f, ft::orbslam3::settings const& s, int count,
-                float depth = 0) {
-    std::uniform_real_distribution<float> any_depth(2, 10);
+  /// @param z depth of the points, metres
+  scattered_map(stand_in::frame const& f, ft::orbslam3::settings const& s, int count, float z) {
     std::uniform_real_distribution<float> wide(-2, 2);
     for (int i = 0; i < count; ++i) {
       auto const k = static_cast<std::size_t>(i);
       bool const seen = k < f.mvKeys.size();
-      float const z = depth > 0 ? depth : any_depth(random_);
       Eigen::Vector3f const P =
           seen ? Eigen::Vector3f((f.mvKeys[k].pt.x - s.left.values[2]) / s.left.values[0] * z,
                                  (f.mvKeys[k].pt.y - s.left.values[3]) / s.left.values[1] * z, z)

@@ -88,9 +88,9 @@ public:
     for (int i = 0; pair() && !Rig::rectified && i < 2; ++i) {
       overlaps.push_back({s.overlap[i][0], s.overlap[i][1]});
     }
-    if (!pair() && s.bf == 0) {
-      overlaps.push_back({s.monocular_overlap[0], s.monocular_overlap[1]});
-    }
+    // As the original's monocular constructor says, not that of RGB-D: keypoints of these columns
+    // come last, in reverse, and Frame::monoLeft counts the others.
+    if (!pair() && s.bf == 0) { overlaps.push_back({0, 1000}); }
     extractor_ = orb_extractor<Exec>(exec, s, s.images, overlaps);
     stereo_.bf = s.bf;
     stereo_.max_disparity = s.bf > 0 ? s.bf / (s.bf / s.left.values[0]) : 0;  // bf / Frame::mb
@@ -119,20 +119,19 @@ public:
     auto const n = static_cast<std::size_t>(extractor_.capacity());
     std::size_t const features =
         static_cast<std::size_t>(settings_.images) * (n * (5 * 4 + 32) + 2 * sizeof(int));
-    std::size_t const more = pair() ? 0 : n * 2 * sizeof(float);
-    return features + more + (stereo_at_once() ? stereo_bytes() : 0);
+    return features + (pair() ? stereo_bytes() : n * 2 * sizeof(float));
   }
   std::size_t stereo_bytes() const {
     auto const n = static_cast<std::size_t>(capacity());
     return Rig::rectified ? n * 8 : n * (8 + 4 + 12);
   }
-  /// Whether extract() enqueues the stereo matches, too.
-  bool stereo_at_once() const { return pair() && settings_.stereo_with_extraction; }
+  /// Two images, whose stereo matches extract() enqueues, too.
+  bool pair() const { return settings_.images == 2; }
 
   /// Records the launches of extract() for each of `frames`, which must not move.
   void record(Exec const& exec, device_frames<Exec, Rig>& frames) {
     record_features(exec, frames);
-    for (int b = 0; b < buffers && stereo_at_once(); ++b) {
+    for (int b = 0; pair() && b < buffers; ++b) {
       stereo_recordings_[b].record(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
     }
   }
@@ -145,7 +144,7 @@ public:
     feature_recordings_[b].replay(exec,
                                   [&](Exec const& e) { queue_features(e, frames, b, sources_); });
     features_there_.set(exec);
-    if (stereo_at_once()) {
+    if (pair()) {
       stereo_recordings_[b].replay(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
     }
     make_grid(exec, frames, r);
@@ -161,7 +160,7 @@ public:
     receive_images(exec, all_sources_, extractor_.pyramid());
     clock.mark(exec, transferred);
     queue_features(exec, frames, r.buffer, no_sources_);
-    if (stereo_at_once()) { queue_stereo(exec, frames, r.buffer, true); }
+    if (pair()) { queue_stereo(exec, frames, r.buffer, true); }
     make_grid(exec, frames, r);
     clock.mark(exec, computed);
   }
@@ -209,7 +208,6 @@ public:
 private:
   static constexpr int rows_at_a_time = 32;
 
-  bool pair() const { return settings_.images == 2; }
   bounds image_bounds() const {
     return {0, 0, static_cast<float>(settings_.width), static_cast<float>(settings_.height)};
   }

@@ -153,13 +153,6 @@ private:
   growing_memory<blocks> memory_;
 };
 
-/// A window computed by the host.
-struct recorded_window {
-  int index;
-  int camera;
-  search_window window;
-};
-
 /// Memory of one size.
 template <typename Exec>
 struct local_blocks {
@@ -168,11 +161,11 @@ struct local_blocks {
   int* slots = nullptr;
   visibility* seen = nullptr;
   int* listed = nullptr;  ///< points in view
-  recorded_window* recorded = nullptr;
+  recorded_sight* recorded = nullptr;
   int* staged_slots = nullptr;
   int* staged_index = nullptr;
   visibility* staged_sights = nullptr;
-  recorded_window* staged_windows = nullptr;
+  recorded_sight* staged_recorded = nullptr;
 
   local_blocks() = default;
   /// @param windows least number of search windows @param keypoints per image
@@ -186,7 +179,7 @@ struct local_blocks {
     });
     staging = arena<staging_space<Exec>>([&](carver& c) {
       c.place(points, staged_slots, staged_index);
-      c.place({cameras, points}, staged_sights, staged_windows);
+      c.place({cameras, points}, staged_sights, staged_recorded);
     });
     std::fill_n(staged_slots, points, no_slot_yet);
   }

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <vector>
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/map_points.hpp"
@@ -28,18 +27,24 @@ namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// Writes recorded windows to their places.
+/// Writes the windows of recorded sights to their places.
 struct place_recorded_window {
   using scratch = no_scratch;
 
+  /// @param radius_factor of the left camera @param right_column whether right columns are searched
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int item, recorded_window const* recorded,
-                                 visibility const* seen, search_windows_view const& windows) const {
-    recorded_window const r = recorded[item];
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, recorded_sight const* recorded,
+                                 visibility const* seen, float radius_factor, bool right_column,
+                                 pyramid_geometry const& geometry,
+                                 search_windows_view const& windows) const {
+    recorded_sight const& r = recorded[item];
     bool const right_alone = r.camera == recorded_sight::not_right_alone;
     if (right_alone && seen[r.index].level >= 0) { return; }
     int const camera = right_alone ? 1 : r.camera;
-    windows.windows[static_cast<std::ptrdiff_t>(camera) * windows.capacity + r.index] = r.window;
+    windows.windows[static_cast<std::ptrdiff_t>(camera) * windows.capacity + r.index] =
+        right_alone
+            ? search_window::none()
+            : window_of(r.seen, r.slot, camera == 0 ? radius_factor : 1.0f, right_column, geometry);
   }
 };
 
@@ -155,9 +160,10 @@ public:
   /// Memory for local maps. prepare() and room() from any thread.
   local_memory<Exec>& local() { return local_; }
   local_memory<Exec> const& local() const { return local_; }
+  /// As of device_tracker.
   recorded_sight* recorded_sights(int count) {
-    recorded_.resize(static_cast<std::size_t>(count));
-    return recorded_.data();
+    detail::require_range("recorded sights", count, 0, searched * local_->capacity);
+    return local_->staged_recorded;
   }
 
   // ---- inputs: staged here, uploaded by the first launch of a call
@@ -168,23 +174,13 @@ public:
     staged_->T_lw = r.T_lw;
     staged_->rotation = r.rotation;
   }
-  /// Adds slots and recorded windows to `up`, which precedes the search.
-  void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r,
-                     pyramid_geometry const& geometry) {
+  /// Adds slots and recorded sights to `up`, which precedes the search.
+  void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r) {
     set_pose(r.T_cw);
     staged_->slots = r.points;
     std::copy_n(r.centres, 2, staged_->centres);
     if (r.slots_changed) { up.add(exec, local_->slots, local_->staged_slots, r.points); }
-    for (int i = 0; i < r.recorded; ++i) {
-      recorded_sight const& s = recorded_[static_cast<std::size_t>(i)];
-      search_window window = search_window::none();
-      if (s.camera != recorded_sight::not_right_alone) {
-        window = window_of(s.seen, s.slot, s.camera == 0 ? r.radius_factor : 1.0f, Rig::rectified,
-                           geometry);
-      }
-      local_->staged_windows[i] = {s.index, s.camera, window};
-    }
-    up.add(exec, local_->recorded, local_->staged_windows, r.recorded);
+    up.add(exec, local_->recorded, local_->staged_recorded, r.recorded);
   }
   void upload(Exec const& exec) {
     word_mover<Exec> up;
@@ -218,7 +214,7 @@ public:
   void queue_keyframe(Exec const& exec, context const& c, keyframe_search_request const& r,
                       device_frame const& keyframe) {
     keyframe_search<left_camera_of<Rig>, searched> search;
-    search.camera = left_camera(rig_);
+    search.camera = detail::left_camera(rig_);
     search.T_cw = &inputs_->T_cw;
     search.keyframe = {keyframe.keypoints, 2, searched, keyframe.holder};
     search.frustum = frustum_of(r.image);
@@ -255,9 +251,9 @@ public:
                                 local_->buffers.windows);
     }
     for_each_item<per_thread>(exec, r.recorded, place_recorded_window{},
-                              static_cast<recorded_window const*>(local_->recorded),
-                              static_cast<visibility const*>(local_->seen),
-                              local_->buffers.windows);
+                              static_cast<recorded_sight const*>(local_->recorded),
+                              static_cast<visibility const*>(local_->seen), r.radius_factor,
+                              bool{Rig::rectified}, c.geometry, local_->buffers.windows);
     search_by_projection(exec, c.frame, c.map, search_params{}, local_->buffers);
   }
 
@@ -334,7 +330,6 @@ private:
   int* found_ = nullptr;  ///< matches, inliers
   int* kept_ = nullptr;   ///< holders after an optimisation that was started ahead
   int* in_view_ = nullptr;
-  std::vector<recorded_sight> recorded_;
   arena<space> memory_;
   arena<staging> host_memory_;
   local_memory<Exec> local_;  ///< its buffers also serve the other searches

@@ -39,10 +39,10 @@ public:
   virtual int cameras() const = 0;
   virtual frame_arrays const& frame(int buffer) = 0;
 
-  /// Enqueues the extraction of images into frame(buffer). wait_for_features() must follow. If the
-  /// settings say so, stereo is enqueued as well: the device then owns frame(buffer).right_x,
-  /// depth, partner and point until match_stereo() or settle(). The images may be reused on return.
-  /// Keypoints of a single image are undistorted and sorted into their search grid. The first
+  /// Enqueues the extraction of images into frame(buffer). wait_for_features() must follow. Of two
+  /// images stereo is enqueued as well: the device then owns frame(buffer).right_x, depth, partner
+  /// and point until match_stereo() or settle(). The images may be reused on return. Keypoints of a
+  /// single image are undistorted and sorted into their search grid. The first
   /// request with another distortion records its launches.
   virtual void extract(extraction_request const& request) = 0;
   /// Waits for the keypoints of the last extract().
@@ -75,7 +75,7 @@ public:
   /// Slots of a local map of up to `points`, to be filled in by the caller. They keep the values of
   /// the last request. Allocates unless prepared.
   virtual int* local_slots(int points) = 0;
-  /// Room for `count` recorded sights.
+  /// Room for `count` recorded sights, of points in local_slots().
   virtual recorded_sight* recorded_sights(int count) = 0;
 
   /// Starts without holders; fills frame(current).holder. Returns the number of matches.

@@ -348,7 +348,7 @@ protected:
     int const all = this->cameras() * keypoints;
     bags_ = std::make_unique<device_bags<Exec>>(exec, all, s.levels_up);
     search_ = std::make_unique<device_word_search<Exec>>(exec, all);
-    pnp_ = std::make_unique<pnp_solver>(exec, left_camera(rig_of<Rig>(s)), keypoints);
+    pnp_ = std::make_unique<pnp_solver>(exec, detail::left_camera(rig_of<Rig>(s)), keypoints);
   }
   void measure_words() {
     bags_->measure();

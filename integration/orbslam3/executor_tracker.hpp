@@ -91,7 +91,7 @@ public:
       extraction_.extract(exec_, frames_, request);
     }
     in_flight_ = true;
-    stereo_of_ = extraction_.stereo_at_once() ? request.buffer : -1;
+    stereo_of_ = extraction_.pair() ? request.buffer : -1;
     bytes_.images += extraction_.images_bytes();
     ++bytes_.uploads;
     count_download(extraction_.result_bytes());
@@ -103,7 +103,7 @@ public:
       times_ = times_of(clock_);
     } else {
       extraction_.wait_for_features();
-      in_flight_ = extraction_.stereo_at_once();
+      in_flight_ = extraction_.pair();
     }
   }
 
@@ -201,7 +201,7 @@ public:
 
   points_in_view search_local_map(local_map_request const& r) override {
     drop_pose(true);
-    searches_.set_local_map(exec_, up_, r, extraction_.geometry());
+    searches_.set_local_map(exec_, up_, r);
     times_ = {};
     begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.buffer, r.image);

@@ -11,6 +11,7 @@
 #include <type_traits>
 #include <vector>
 
+#include "ft/containers/image_pyramid.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/views.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
@@ -35,7 +36,7 @@ class frame_exchange {
 public:
   frame_exchange(device_tracker& device, settings const& s) : device_(&device), settings_(s) {}
 
-  pyramid_geometry const& levels() const { return tables_.levels(); }
+  pyramid_geometry const& levels() const { return levels_; }
   static bounds bounds_of(Frame const& frame) {
     return {frame.mnMinX, frame.mnMinY, frame.mnMaxX, frame.mnMaxY};
   }
@@ -89,7 +90,7 @@ public:
   /// Fills what does not depend on the images, and takes the frame's memory for as many keypoints
   /// as the last extraction found and a few more: done while the device extracts.
   void prepare(Frame& frame) const {
-    tables_.fill(frame);
+    fill_scale_tables(levels_, settings_.scale_factor, frame);
     frame_arrays const& a = device_->frame(newest_);
     for (int c = 0; c < settings_.images; ++c) {
       auto const room = static_cast<std::size_t>(a.count[c] + a.count[c] / 8);
@@ -298,7 +299,7 @@ private:
       k.pt.x = x[at];
       k.pt.y = y[at];
       k.octave = a.octave[at];
-      k.size = tables_.patch_size(k.octave);
+      k.size = static_cast<float>(levels_.patch_size(k.octave));
       k.angle = a.angle[at];
       k.response = a.response[at];
     }
@@ -385,7 +386,8 @@ private:
 
   device_tracker* device_;
   settings settings_;
-  scale_tables tables_{settings_};
+  pyramid_geometry levels_ = pyramid_geometry::make(settings_.width, settings_.height,
+                                                    settings_.levels, settings_.scale_factor);
   resident resident_[device_tracker::buffers];
   int newest_ = 0;
 };

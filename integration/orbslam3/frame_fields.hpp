@@ -8,37 +8,24 @@
 #include <cstring>
 #include <vector>
 
-#include "ft/kernels/pyramid/build_pyramid.hpp"
+#include "ft/containers/image_pyramid.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
 namespace orbslam3 {
 
-class scale_tables {
-public:
-  explicit scale_tables(settings const& s)
-      : levels_(pyramid_geometry::make(s.width, s.height, s.levels, s.scale_factor)),
-        factor_(s.scale_factor) {}
-
-  template <typename Frame>
-  void fill(Frame& frame) const {
-    frame.mnScaleLevels = levels_.levels;
-    frame.mfScaleFactor = factor_;
-    frame.mfLogScaleFactor = std::log(factor_);
-    auto const n = levels_.levels;
-    frame.mvScaleFactors.assign(levels_.scale, levels_.scale + n);
-    frame.mvInvScaleFactors.assign(levels_.inv_scale, levels_.inv_scale + n);
-    frame.mvLevelSigma2.assign(levels_.sigma2, levels_.sigma2 + n);
-    frame.mvInvLevelSigma2.assign(levels_.inv_sigma2, levels_.inv_sigma2 + n);
-  }
-  pyramid_geometry const& levels() const { return levels_; }
-  /// KeyPoint::size in an octave, pixels.
-  float patch_size(int octave) const { return static_cast<float>(levels_.patch_size(octave)); }
-
-private:
-  pyramid_geometry levels_;
-  float factor_;
-};
+/// Fills in the number of a frame's levels, their scales and variances.
+template <typename Frame>
+void fill_scale_tables(pyramid_geometry const& levels, float scale_factor, Frame& frame) {
+  int const n = levels.levels;
+  frame.mnScaleLevels = n;
+  frame.mfScaleFactor = scale_factor;
+  frame.mfLogScaleFactor = std::log(scale_factor);
+  frame.mvScaleFactors.assign(levels.scale, levels.scale + n);
+  frame.mvInvScaleFactors.assign(levels.inv_scale, levels.inv_scale + n);
+  frame.mvLevelSigma2.assign(levels.sigma2, levels.sigma2 + n);
+  frame.mvInvLevelSigma2.assign(levels.inv_sigma2, levels.inv_sigma2 + n);
+}
 
 /// Replaces a value. @param changed set if the value was different
 template <typename T>

@@ -101,7 +101,7 @@ private:
       own.unknown.clear();
       for (int i = p * at_a_time; i < std::min((p + 1) * at_a_time, all); ++i) {
         auto const at = static_cast<std::size_t>(i);
-        prefetch_number(frame.mvpMapPoints, at + 16);
+        if (holds(frame, at + 16)) { prefetch(&frame.mvpMapPoints[at + 16]->mnId); }
         int& slot = a.holder[number_of(i)];
         bool const held = holds(frame, at) && !(inliers_only && frame.mvbOutlier[at]);
         if (!held) {

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <type_traits>
 
+#include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/settings_of.hpp"
 
@@ -18,17 +19,6 @@ namespace inertial_detail {
 template <typename Bias>
 imu_bias bias_of(Bias const& from) {
   return {{from.bwx, from.bwy, from.bwz}, {from.bax, from.bay, from.baz}};
-}
-
-template <typename T>
-Eigen::Matrix<T, 3, 1> vector_of(vec3<T> const& v) {
-  return {v.x, v.y, v.z};
-}
-template <int Rows, int Columns, typename T>
-Eigen::Matrix<T, Rows, Columns> matrix_of(T const* rows) {
-  Eigen::Matrix<T, Rows, Columns> m;
-  for (int i = 0; i < Rows * Columns; ++i) { m(i / Columns, i % Columns) = rows[i]; }
-  return m;
 }
 
 /// The steps of an integral, which are private: each adds to the variance of the gyro's walk. None,
@@ -51,19 +41,19 @@ template <typename Integral>
 preintegrated integral_of(Integral const& from) {
   preintegrated to{};
   to.dT = from.dT;
-  to.dR = mat_of(from.dR);
-  to.dV = vec_of(from.dV);
-  to.dP = vec_of(from.dP);
-  to.JRg = mat_of(from.JRg);
-  to.JVg = mat_of(from.JVg);
-  to.JVa = mat_of(from.JVa);
-  to.JPg = mat_of(from.JPg);
-  to.JPa = mat_of(from.JPa);
+  to.dR = mat3_from_eigen(from.dR);
+  to.dV = vec3_from_eigen(from.dV);
+  to.dP = vec3_from_eigen(from.dP);
+  to.JRg = mat3_from_eigen(from.JRg);
+  to.JVg = mat3_from_eigen(from.JVg);
+  to.JVa = mat3_from_eigen(from.JVa);
+  to.JPg = mat3_from_eigen(from.JPg);
+  to.JPa = mat3_from_eigen(from.JPa);
   for (int i = 0; i < 81; ++i) { to.C[i] = from.C(i / 9, i % 9); }
   for (int i = 0; i < 6; ++i) { to.walk[i] = from.C(9 + i, 9 + i); }
   to.bias = inertial_detail::bias_of(from.b);
-  to.mean_accel = vec_of(from.avgA);
-  to.mean_gyro = vec_of(from.avgW);
+  to.mean_accel = vec3_from_eigen(from.avgA);
+  to.mean_gyro = vec3_from_eigen(from.avgW);
   to.steps = inertial_detail::steps_of(from);
   to.status = to.steps > 0 ? integration_status::integrated : integration_status::no_steps;
   return to;
@@ -72,7 +62,7 @@ preintegrated integral_of(Integral const& from) {
 /// A state from a Sophus::SE3f, a velocity and an IMU::Bias.
 template <typename Pose, typename Vector, typename Bias>
 stored_inertial_state state_of(Pose const& T_cw, Vector const& velocity, Bias const& bias) {
-  return {rotation_of(T_cw), vec_of(T_cw.translation()), vec_of(velocity),
+  return {rotation_of(T_cw), vec3_from_eigen(T_cw.translation()), vec3_from_eigen(velocity),
           inertial_detail::bias_of(bias)};
 }
 template <typename Frame>
@@ -84,8 +74,8 @@ stored_inertial_state state_of(Frame& frame) {
 template <typename Constraint>
 inertial_prior prior_of(Constraint const& from) {
   inertial_prior to{};
-  to.state = {mat_of(from.Rwb), vec_of(from.twb), vec_of(from.vwb), vec_of(from.bg),
-              vec_of(from.ba)};
+  to.state = {mat3_from_eigen(from.Rwb), vec3_from_eigen(from.twb), vec3_from_eigen(from.vwb),
+              vec3_from_eigen(from.bg), vec3_from_eigen(from.ba)};
   for (int i = 0; i < 225; ++i) { to.information[i] = from.H(i / 15, i % 15); }
   to.known = 1;
   return to;
@@ -139,11 +129,11 @@ template <typename Frame>
 void take_inertial_result(Frame& frame, bool from_last_frame, inertial_result const& r) {
   using pose = std::decay_t<decltype(frame.GetPose())>;
   using constraint = std::remove_pointer_t<std::decay_t<decltype(frame.mpcpi)>>;
-  using inertial_detail::matrix_of;
-  using inertial_detail::vector_of;
+  using matrix = Eigen::Matrix<double, 15, 15, Eigen::RowMajor>;
   quaternion<float> const& q = r.state.q_cw;
-  frame.SetPose(pose(Eigen::Quaternionf(q.w, q.x, q.y, q.z), vector_of(r.state.t_cw)));
-  frame.SetVelocity(vector_of(r.state.v));
+  frame.SetPose(
+      pose(Eigen::Quaternionf(q.w, q.x, q.y, q.z), Eigen::Vector3f(as_eigen(r.state.t_cw))));
+  frame.SetVelocity(as_eigen(r.state.v));
   auto& bias = frame.mImuBias;
   bias.bwx = r.state.bias.gyro.x;
   bias.bwy = r.state.bias.gyro.y;
@@ -152,9 +142,9 @@ void take_inertial_result(Frame& frame, bool from_last_frame, inertial_result co
   bias.bay = r.state.bias.accel.y;
   bias.baz = r.state.bias.accel.z;
   inertial_state<double> const& p = r.prior.state;
-  auto const H = matrix_of<15, 15>(r.prior.information);
-  auto* const prior = new constraint(matrix_of<3, 3>(p.R.m), vector_of(p.p), vector_of(p.v),
-                                     vector_of(p.bg), vector_of(p.ba), H);
+  Eigen::Matrix<double, 15, 15> const H = Eigen::Map<matrix const>(r.prior.information);
+  auto* const prior = new constraint(as_eigen(p.R), as_eigen(p.p), as_eigen(p.v), as_eigen(p.bg),
+                                     as_eigen(p.ba), H);
   prior->H = H;  // its constructor decomposes the matrix once more and rounds it
   frame.mpcpi = prior;
   if (from_last_frame) {

@@ -48,14 +48,14 @@ private:
   std::future<void> growing_;
 };
 
-/// Map points are scattered over the heap: prefetches the number of a later one.
-template <typename MapPoint>
-void prefetch_number(std::vector<MapPoint*> const& points, std::size_t i) {
+/// Map points are scattered over the heap: reads of later ones are begun early.
+/// @tparam Writes 1: the place will be written
+template <int Writes = 0>
+void prefetch(void const* at) {
 #if defined(__GNUC__)
-  if (i < points.size() && points[i] != nullptr) { __builtin_prefetch(&points[i]->mnId); }
+  __builtin_prefetch(at, Writes);
 #else
-  static_cast<void>(points);
-  static_cast<void>(i);
+  static_cast<void>(at);
 #endif
 }
 
@@ -66,13 +66,8 @@ public:
   using map_point = typename Types::map_point;
   using projections = std::decay_t<decltype(std::declval<frame_type&>().mmProjectPoints)>;
 
-  /// @param draws whether to fill Frame::mmProjectPoints
-  local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s, bool draws)
-      : device_(&device),
-        mirror_(&mirror),
-        quirks_(s.reference_quirks),
-        draws_(draws),
-        drawn_(draws ? s.map_points : 0) {}
+  local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s)
+      : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks), drawn_(s.map_points) {}
 
   /// Fills the request of a search for `points`, and their slots on the device.
   /// @return number of points that are tested
@@ -113,7 +108,7 @@ public:
   /// Writes the tracked values of the points in view, and their counters.
   void write_sights(frame_type& frame, std::vector<map_point*> const& points,
                     points_in_view const& seen) {
-    int const drawn = draws_ ? 1 : 0;  // the longest part is started first
+    constexpr int drawn = 1;  // the longest part is started first
     int const parts = (seen.count + sights_at_a_time - 1) / sights_at_a_time;
     device_->helpers().share(drawn + parts, [&](int i) {
       if (i < drawn) {
@@ -152,7 +147,7 @@ private:
     own.unknown.clear();
     own.recorded.clear();
     for (int i = first; i < last; ++i) {
-      prefetch(all.points, i);
+      prefetch_soon(all.points, i);
       if (mirror_->keep(likely_[index(i)], all.points[index(i)])) {
         take(all, i, own);
       } else {
@@ -235,41 +230,25 @@ private:
     }
     drawn_.move_to(frame.mmProjectPoints);
   }
-  /// Map points are scattered over the heap: prefetches a later one while this one is read.
-  static void prefetch(std::vector<map_point*> const& points, int i) {
-#if defined(__GNUC__)
+  static void prefetch_soon(std::vector<map_point*> const& points, int i) {
     auto const soon = static_cast<std::size_t>(i) + 8;
-    if (soon < points.size()) {
-      __builtin_prefetch(&points[soon]->mnId);
-      __builtin_prefetch(&points[soon]->mnLastFrameSeen);
-    }
-#else
-    static_cast<void>(points);
-    static_cast<void>(i);
-#endif
+    if (soon >= points.size()) { return; }
+    prefetch(&points[soon]->mnId);
+    prefetch(&points[soon]->mnLastFrameSeen);
   }
-  /// Likewise for points in view: also prefetches the end of the object, where the original keeps
-  /// its locks.
+  /// Also the end of the object, where the original keeps its locks.
   static void prefetch_seen(std::vector<map_point*> const& points, points_in_view const& seen,
                             int k) {
-#if defined(__GNUC__)
-    if (k + 8 < seen.count) {
-      map_point* const p = points[static_cast<std::size_t>(seen.index[k + 8])];
-      __builtin_prefetch(&p->mTrackProjX, 1);
-      __builtin_prefetch(&p->mnTrackScaleLevel, 1);
-      __builtin_prefetch(reinterpret_cast<char const*>(p + 1) - 64, 1);
-    }
-#else
-    static_cast<void>(points);
-    static_cast<void>(seen);
-    static_cast<void>(k);
-#endif
+    if (k + 8 >= seen.count) { return; }
+    map_point* const p = points[index(seen.index[k + 8])];
+    prefetch<1>(&p->mTrackProjX);
+    prefetch<1>(&p->mnTrackScaleLevel);
+    prefetch<1>(reinterpret_cast<char const*>(p + 1) - 64);
   }
 
   device_tracker* device_;
   map_mirror<map_point>* mirror_;
   bool quirks_;
-  bool draws_;
   int* slots_ = nullptr;
   std::vector<int> likely_;  ///< slots of the last local map; most are at the same place again
   std::vector<recorded_sight> recorded_;

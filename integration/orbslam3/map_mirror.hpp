@@ -238,7 +238,7 @@ private:
     r = {};
     r.read_in = round_;
     e.bad = read_fields(*point, r.sent);
-    noted_.note_all(slot, r.sent);
+    noted_.note(slot, r.sent, nullptr);
     return slot;
   }
   void refresh(int slot) {
@@ -246,15 +246,7 @@ private:
     point_fields const before = r.sent;
     entries_[index(slot)].bad = read_fields(*owner(slot), r.sent);
     r.read_in = round_;
-    point_fields const& now = r.sent;
-    if (differ(before.position, now.position)) { noted_.note(map_change::position, slot, now); }
-    if (differ(before.normal, now.normal) || differ(before.limits, now.limits)) {
-      noted_.note(map_change::view, slot, now);
-    }
-    if (differ(before.descriptor, now.descriptor)) {
-      noted_.note(map_change::descriptor, slot, now);
-    }
-    if (before.observed != now.observed) { noted_.note(map_change::observed, slot, now); }
+    noted_.note(slot, r.sent, &before);
   }
   void release(int slot) {
     entry& e = entries_[index(slot)];

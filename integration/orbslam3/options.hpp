@@ -77,8 +77,6 @@ enum class stage_mode {
 
 struct options {
   change_detection detection = change_detection::compare;
-  /// Frame::mmProjectPoints, which the viewer draws.
-  bool fill_projections = true;
   bool statistics = false;
   bool verify = false;  ///< for the call sites: run both and compare, see verify.hpp
   std::array<stage_mode, stage_count> modes{};  ///< by stage; all on the device

@@ -41,10 +41,6 @@ struct settings : orb_params {
   /// First and last column of the left and of the right image that see the same part of the scene;
   /// only for pairs of kannala_brandt cameras.
   float overlap[2][2] = {{0, 1e9f}, {0, 1e9f}};
-  /// For monocular images (one image and bf 0): keypoints from the first to the last column come
-  /// last, in reverse, and Frame::monoLeft counts the others. The default is the value of the
-  /// original's monocular constructor; RGB-D has none.
-  float monocular_overlap[2] = {0, 1000};
   /// Most keypoints per image of a frame that was extracted elsewhere; 0: as many as extract()
   /// yields. Monocular initialisation extracts five times as many.
   int most_keypoints = 0;
@@ -60,8 +56,6 @@ struct settings : orb_params {
   /// with the left one's model, and it searches points rejected in this frame at their positions in
   /// an earlier frame.
   bool reference_quirks = true;
-  /// Enqueues stereo with the extraction, without a wait in between.
-  bool stereo_with_extraction = true;
   bool orientation_check = true;  ///< of the searches from the last frame and a keyframe
   /// Starts pose optimisation behind each search, before it is asked for (pose_ahead.hpp).
   bool poses_ahead = true;
@@ -188,6 +182,9 @@ struct map_change {
   FT_HOST_DEVICE static constexpr int words_of(int f) {
     return f == position ? 4 : f == view ? 6 : f == descriptor ? 9 : 2;
   }
+  static constexpr std::size_t value_bytes(int f) {
+    return sizeof(std::uint32_t) * static_cast<std::size_t>(words_of(f) - 1);
+  }
   static constexpr int point_words = 4 + 6 + 9 + 2;
   int records() const { return count[0] + count[1] + count[2] + count[3]; }
   std::size_t words() const {
@@ -277,47 +274,9 @@ struct vocabulary_facts {
   int scoring = 0;
   int weighting = 0;
   std::size_t words = 0;
-  std::uint64_t descriptors = 0;  ///< vocabulary_hash of 32 bytes of each word, in their order
-  std::uint64_t weights = 0;      ///< vocabulary_hash of a double of each word, in their order
+  std::uint64_t descriptors = 0;  ///< checksum of 32 bytes of each word, in their order
+  std::uint64_t weights = 0;      ///< checksum of a double of each word, in their order
 };
-
-/// Hash of Fowler, Noll and Vo (FNV-1a, 64 bits) over words of eight bytes.
-class vocabulary_hash {
-public:
-  /// @param bytes a multiple of 8
-  void add(void const* data, std::size_t bytes) {
-    auto const* const from = static_cast<unsigned char const*>(data);
-    for (std::size_t at = 0; at < bytes; at += 8) {
-      std::uint64_t word = 0;
-      std::memcpy(&word, from + at, 8);
-      value_ = (value_ ^ word) * 0x100000001b3u;
-      value_ ^= value_ >> 32;
-    }
-  }
-  std::uint64_t value() const { return value_; }
-
-private:
-  std::uint64_t value_ = 0xcbf29ce484222325u;
-};
-
-/// `facts` with the hashes of its words, but for those of weight 0 at the end.
-/// @param weight,descriptor of a word: a double; 32 bytes, any type without padding
-template <typename Weight, typename Descriptor>
-vocabulary_facts facts_of(vocabulary_facts facts, Weight const& weight,
-                          Descriptor const& descriptor) {
-  while (facts.words > 0 && weight(facts.words - 1) == 0) { --facts.words; }
-  vocabulary_hash weights;
-  vocabulary_hash descriptors;
-  for (std::size_t w = 0; w < facts.words; ++w) {
-    double const value = weight(w);
-    weights.add(&value, sizeof value);
-    auto const& bits = descriptor(w);
-    descriptors.add(&bits, 32);
-  }
-  facts.weights = weights.value();
-  facts.descriptors = descriptors.value();
-  return facts;
-}
 
 /// Descriptors of a frame: rows of 32 bytes.
 struct descriptor_rows {

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
+#include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 
 namespace ft {
@@ -69,38 +70,43 @@ private:
   }
 };
 
-/// A map point's fields.
+/// A map point's values, as map_change has them: field after field.
 struct point_fields {
-  float position[3];
-  float normal[3];
+  vec3<float> position;
+  vec3<float> normal;
   float limits[2];  ///< lowest and highest distance, raw, metres
   std::uint32_t descriptor[8];
-  bool observed;
+  std::uint32_t observed;  ///< 1 or 0
+
+  /// The words of a field. @param which as in map_change
+  unsigned char const* words(int which) const {
+    auto const* at = reinterpret_cast<unsigned char const*>(this);
+    for (int f = 0; f < which; ++f) { at += map_change::value_bytes(f); }
+    return at;
+  }
 };
+static_assert(sizeof(point_fields) == 4 * (map_change::point_words - map_change::fields),
+              "without padding");
 
 /// Whether any bit differs, so that an unchanged NaN does not count.
-template <typename T, std::size_t N>
-bool differ(T const (&a)[N], T const (&b)[N]) {
-  return std::memcmp(a, b, sizeof a) != 0;
+template <typename T>
+bool differ(T const& a, T const& b) {
+  return std::memcmp(&a, &b, sizeof a) != 0;
 }
 
 /// Reads a point by the functions that the system's own code calls, each with its lock.
 /// @param f previous values, or zeros @return whether the point is bad
 template <typename MapPoint>
 bool read_fields(MapPoint& p, point_fields& f) {
-  auto const position = p.GetWorldPos();
-  auto const normal = p.GetNormal();
-  for (int i = 0; i < 3; ++i) {
-    f.position[i] = position(i);
-    f.normal[i] = normal(i);
-  }
+  f.position = vec3_from_eigen(p.GetWorldPos());
+  f.normal = vec3_from_eigen(p.GetNormal());
   f.limits[0] = unscaled(p.GetMinDistanceInvariance(), 0.8f);
   f.limits[1] = stored_limit<MapPoint>::of(p, p.GetMaxDistanceInvariance());
   auto const descriptor = p.GetDescriptor();
   if (descriptor.rows * descriptor.cols == 32) {
     std::memcpy(f.descriptor, descriptor.data, sizeof f.descriptor);
   }
-  f.observed = p.Observations() > 0;
+  f.observed = p.Observations() > 0 ? 1 : 0;
   return p.isBad();
 }
 
@@ -116,15 +122,13 @@ public:
       field.words.reserve(static_cast<std::size_t>(slots) * field.each);
     }
   }
-  void note(map_change::field which, int slot, point_fields const& f) {
-    float const view[5] = {f.normal[0], f.normal[1], f.normal[2], f.limits[0], f.limits[1]};
-    std::uint32_t const observed = f.observed ? 1u : 0u;
-    void const* const values[] = {f.position, view, f.descriptor, &observed};
-    put(which, slot, values[which]);
-  }
-  void note_all(int slot, point_fields const& f) {
-    for (int which = 0; which < map_change::fields; ++which) {
-      note(static_cast<map_change::field>(which), slot, f);
+  /// Notes the fields of a point that have changed. @param before nullptr: all have
+  void note(int slot, point_fields const& now, point_fields const* before) {
+    for (int f = 0; f < map_change::fields; ++f) {
+      std::size_t const n = map_change::value_bytes(f);
+      if (before == nullptr || std::memcmp(now.words(f), before->words(f), n) != 0) {
+        std::memcpy(record_of(fields_[f], slot), now.words(f), n);
+      }
     }
   }
   /// Sends the noted changes to the device.
@@ -157,16 +161,15 @@ private:
     int count() const { return static_cast<int>(words.size() / each); }
   };
 
-  void put(int which, int slot, void const* values) {
-    field_records& field = fields_[which];
+  /// The words after the slot.
+  static std::uint32_t* record_of(field_records& field, int slot) {
     int& place = field.place[static_cast<std::size_t>(slot)];
     if (place < 0) {
       place = static_cast<int>(field.words.size());
       field.words.resize(field.words.size() + field.each);
       field.words[static_cast<std::size_t>(place)] = static_cast<std::uint32_t>(slot);
     }
-    std::memcpy(&field.words[static_cast<std::size_t>(place) + 1], values,
-                (field.each - 1) * sizeof(std::uint32_t));
+    return &field.words[static_cast<std::size_t>(place) + 1];
   }
 
   field_records fields_[map_change::fields];

@@ -12,9 +12,11 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
+#include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/options.hpp"
+#include "integration/orbslam3/vocabulary_file.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -236,7 +238,7 @@ bool put_correspondences(Frame const& frame, std::vector<Keypoint> const& keys,
     if (octave >= frame.mvLevelSigma2.size()) { return false; }
     auto const at = to.count++;
     to.pixel[at] = {k.pt.x, k.pt.y};
-    to.point[at] = vec_of(p->GetWorldPos());
+    to.point[at] = vec3_from_eigen(p->GetWorldPos());
     to.max_error2[at] = frame.mvLevelSigma2[octave] * 5.991f;
     keypoint.push_back(static_cast<int>(i));
   }
@@ -253,9 +255,7 @@ inline void take_pnp(pnp_found const& found, std::vector<int> const& keypoint,
   for (std::size_t i = 0; i < keypoint.size(); ++i) {
     if (found.inlier[i] != 0) { to.inliers[static_cast<std::size_t>(keypoint[i])] = true; }
   }
-  to.T_cw.setIdentity();
-  for (int i = 0; i < 9; ++i) { to.T_cw(i / 3, i % 3) = found.T_cw.R.m[i]; }
-  to.T_cw.col(3).head(3) << found.T_cw.t.x, found.T_cw.t.y, found.T_cw.t.z;
+  to.T_cw = to_isometry(found.T_cw).matrix();
 }
 
 }  // namespace orbslam3

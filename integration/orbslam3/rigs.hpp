@@ -11,6 +11,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
+#include "ft/pipelines/relocalizer.hpp"
 #include "ft/types/poses.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
@@ -26,15 +27,7 @@ inline constexpr int searched_cameras = Rig::rectified ? 1 : 2;
 
 /// The camera that relocalisation finds points with.
 template <typename Rig>
-auto const& left_camera(Rig const& rig) {
-  if constexpr (Rig::rectified) {
-    return rig.camera;
-  } else {
-    return rig.left;
-  }
-}
-template <typename Rig>
-using left_camera_of = std::decay_t<decltype(left_camera(std::declval<Rig const&>()))>;
+using left_camera_of = std::decay_t<decltype(detail::left_camera(std::declval<Rig const&>()))>;
 
 /// The cameras of the settings. A single kannala_brandt camera becomes a pair without baseline
 /// whose right camera has no keypoints.

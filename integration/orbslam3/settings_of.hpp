@@ -11,6 +11,7 @@
 #include <type_traits>
 
 #include "ft/core/error.hpp"
+#include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
@@ -50,20 +51,10 @@ bool read_distortion(Frame const& frame, lens_distortion& d) {
   return true;
 }
 
-template <typename Vector>
-auto vec_of(Vector const& v) {
-  return vec3<std::decay_t<decltype(v(0))>>{v(0), v(1), v(2)};
-}
-template <typename Matrix>
-auto mat_of(Matrix const& m) {
-  mat3<std::decay_t<decltype(m(0, 0))>> to;
-  for (int i = 0; i < 9; ++i) { to.m[i] = m(i / 3, i % 3); }
-  return to;
-}
 /// Of a Sophus::SE3f.
 template <typename Pose>
 pose transform_of(Pose const& T) {
-  return {mat_of(Eigen::Matrix3f(T.rotationMatrix())), vec_of(T.translation())};
+  return {mat3_from_eigen(T.rotationMatrix()), vec3_from_eigen(T.translation())};
 }
 
 /// The rotation of a Sophus::SE3f.
@@ -82,15 +73,13 @@ void centres_of(Frame& frame, int cameras, vec3<float> (&centres)[2]) {
   if (cameras == 2) {
     right = T_wc.rotationMatrix() * frame.GetRelativePoseTlr().translation() + left;
   }
-  centres[0] = vec_of(left);
-  centres[1] = vec_of(right);
+  centres[0] = vec3_from_eigen(left);
+  centres[1] = vec3_from_eigen(right);
 }
 /// A Sophus::SE3f, through a unit quaternion.
 template <typename Pose>
 Pose pose_of(pose const& T) {
-  Eigen::Map<Eigen::Matrix<float, 3, 3, Eigen::RowMajor> const> const R(T.R.m);
-  return Pose(Eigen::Quaternionf(Eigen::Matrix3f(R)).normalized(),
-              Eigen::Vector3f(T.t.x, T.t.y, T.t.z));
+  return Pose(to_quaternion(T.R), Eigen::Vector3f(as_eigen(T.t)));
 }
 
 /// A system's types, for the template parameter `Types` of the shim.

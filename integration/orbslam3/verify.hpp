@@ -86,13 +86,11 @@ public:
   void assign_to_grid(frame_type& frame, Cpu const& cpu) {
     begin(frame, stage::grid);
     cpu();
-    auto const left = cells_of(frame.mGrid);
-    auto const right = cells_of(frame.mGridRight);
-    clear_cells(frame.mGrid);
-    clear_cells(frame.mGridRight);
+    auto const left = take_cells(frame.mGrid);
+    auto const right = take_cells(frame.mGridRight);
     gpu_->assign_to_grid(frame);
-    compare_cells(log_, "cell of the grid", left, cells_of(frame.mGrid));
-    compare_cells(log_, "cell of the right grid", right, cells_of(frame.mGridRight));
+    compare_cells(log_, "cell of the grid", left, frame.mGrid);
+    compare_cells(log_, "cell of the right grid", right, frame.mGridRight);
   }
 
   /// @param cpu Frame::ComputeStereoMatches or ComputeStereoFishEyeMatches
@@ -159,22 +157,23 @@ public:
     local_state const before(frame, points);
     auto const count_visible = [&](local_state const& state, int n) {
       for (std::size_t i = 0; i < points.size(); ++i) {
-        tracked_values const& t = state.seen[i];
-        if (tested[i] && (t.in_view || t.in_view_right)) { points[i]->IncreaseVisible(n); }
+        if (tested[i] && is_in_view(state.seen[i])) { points[i]->IncreaseVisible(n); }
       }
     };
     auto const put = [&](local_state const& state) {
       frame.mvpMapPoints = state.held;
       frame.mmProjectPoints = state.drawn;
-      for (std::size_t i = 0; i < points.size(); ++i) { state.seen[i].restore(*points[i]); }
+      for (std::size_t i = 0; i < points.size(); ++i) {
+        tracked_members(*points[i]) = state.seen[i];
+      }
     };
     auto const run = [&](auto const& call) {
       int const matches = call();
       outcome<local_state> result{matches, {frame, points}, {}};
       add_matches(result.seen, matches, frame.mvpMapPoints);
       for (std::size_t i = 0; i < points.size(); ++i) {
-        result.left.seen[i].add_to(result.seen, static_cast<long>(i), frame.Nleft != -1,
-                                   tolerances_);
+        add_tracked(result.seen, result.left.seen[i], static_cast<long>(i), frame.Nleft != -1,
+                    tolerances_);
       }
       count_visible(result.left, -1);
       put(before);
@@ -284,7 +283,7 @@ private:
 
     local_state(frame_type const& frame, std::vector<map_point*> const& points)
         : held(frame.mvpMapPoints), drawn(frame.mmProjectPoints) {
-      for (map_point const* const p : points) { seen.emplace_back(*p); }
+      for (map_point const* const p : points) { seen.emplace_back(tracked_members(*p)); }
     }
   };
 

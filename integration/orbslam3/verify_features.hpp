@@ -78,58 +78,36 @@ void compare_lists(difference_log& log, char const* what, long at, List const& c
   if (other.first != cpu.end()) { log.compare(what, at, *other.first, *other.second); }
 }
 
-/// Column by column.
+/// Column by column; the grid is left empty.
 template <typename List, std::size_t Columns, std::size_t Rows>
-std::vector<List> cells_of(List const (&grid)[Columns][Rows]) {
+std::vector<List> take_cells(List (&grid)[Columns][Rows]) {
   std::vector<List> all;
-  all.reserve(Columns * Rows);
-  for (auto const& column : grid) { all.insert(all.end(), column, column + Rows); }
+  for (auto& column : grid) {
+    for (List& cell : column) { all.push_back(std::exchange(cell, {})); }
+  }
   return all;
 }
 template <typename List, std::size_t Columns, std::size_t Rows>
-void clear_cells(List (&grid)[Columns][Rows]) {
-  for (auto& column : grid) {
-    for (List& cell : column) { cell.clear(); }
-  }
-}
-template <typename List>
 void compare_cells(difference_log& log, char const* what, std::vector<List> const& cpu,
-                   std::vector<List> const& gpu) {
+                   List const (&gpu)[Columns][Rows]) {
   for (std::size_t c = 0; c < cpu.size(); ++c) {
-    compare_lists(log, what, static_cast<long>(c), cpu[c], gpu[c]);
+    compare_lists(log, what, static_cast<long>(c), cpu[c], gpu[c / Rows][c % Rows]);
   }
 }
 
-namespace word_detail {
-
-/// Words that only one of both has count as 0 of the other.
-template <typename Bag>
-void compare_bags(difference_log& log, Bag const& cpu, Bag const& gpu) {
-  for (auto const& [word, value] : cpu) {
-    auto const other = gpu.find(word);
-    log.compare("value of word", static_cast<long>(word), value,
-                other == gpu.end() ? 0.0 : other->second);
+/// Calls compare(key, value of the CPU, value of the GPU) for each key of one of them; the other's
+/// value is then 0, or empty.
+template <typename Map, typename Compare>
+void compare_maps(Map const& cpu, Map const& gpu, Compare const& compare) {
+  typename Map::mapped_type const none{};
+  for (auto const& [key, value] : cpu) {
+    auto const other = gpu.find(key);
+    compare(static_cast<long>(key), value, other == gpu.end() ? none : other->second);
   }
-  for (auto const& [word, value] : gpu) {
-    if (cpu.count(word) == 0) { log.compare("value of word", static_cast<long>(word), 0.0, value); }
-  }
-}
-/// Groups that only one of both has count as empty of the other.
-template <typename Groups>
-void compare_groups(difference_log& log, Groups const& cpu, Groups const& gpu) {
-  typename Groups::mapped_type const none{};
-  char const* const what = "keypoints of node";
-  for (auto const& [node, group] : cpu) {
-    auto const other = gpu.find(node);
-    compare_lists(log, what, static_cast<long>(node), group,
-                  other == gpu.end() ? none : other->second);
-  }
-  for (auto const& [node, group] : gpu) {
-    if (cpu.count(node) == 0) { compare_lists(log, what, static_cast<long>(node), none, group); }
+  for (auto const& [key, value] : gpu) {
+    if (cpu.count(key) == 0) { compare(static_cast<long>(key), none, value); }
   }
 }
-
-}  // namespace word_detail
 
 /// Fills a frame's words by `cpu`, then by `gpu`, whose answer stays.
 template <typename Frame, typename Cpu, typename Gpu>
@@ -138,8 +116,11 @@ void verify_words(difference_log& log, Frame& frame, Cpu const& cpu, Gpu const& 
   auto const bag = std::exchange(frame.mBowVec, {});
   auto const groups = std::exchange(frame.mFeatVec, {});
   gpu();
-  word_detail::compare_bags(log, bag, frame.mBowVec);
-  word_detail::compare_groups(log, groups, frame.mFeatVec);
+  compare_maps(bag, frame.mBowVec,
+               [&](long word, double a, double b) { log.compare("value of word", word, a, b); });
+  compare_maps(groups, frame.mFeatVec, [&](long node, auto const& a, auto const& b) {
+    compare_lists(log, "keypoints of node", node, a, b);
+  });
 }
 
 /// Calls of other threads than the log's, which adds them when it comes to it.

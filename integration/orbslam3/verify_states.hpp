@@ -29,45 +29,33 @@ auto tracked_members(MapPoint& p) {
 }
 
 /// Their values.
-struct tracked_values {
-  bool in_view, in_view_right;
-  int level, level_right;
-  float x, y, depth, cosine, right_x, right_y, depth_right, cosine_right;
+using tracked_values =
+    std::tuple<bool, bool, int, int, float, float, float, float, float, float, float, float>;
 
-  template <typename Self>
-  static auto members(Self& t) {  // before its uses: clang deduces the type there
-    return std::tie(t.in_view, t.in_view_right, t.level, t.level_right, t.x, t.y, t.depth, t.cosine,
-                    t.right_x, t.right_y, t.depth_right, t.cosine_right);
+inline bool is_in_view(tracked_values const& t) { return std::get<0>(t) || std::get<1>(t); }
+/// @param at index of the point in the local map
+inline void add_tracked(readings& to, tracked_values const& t, long at, bool two_cameras,
+                        tolerances const& allowed) {
+  auto const& [in_view, in_view_right, level, level_right, x, y, depth, cosine, right_x, right_y,
+               depth_right, cosine_right] = t;
+  to.add("point in view", at, in_view);
+  to.add("point in right view", at, in_view_right);
+  if (in_view) {
+    to.add("octave of point", at, level);
+    to.add("x of point", at, x, allowed.pixels);
+    to.add("y of point", at, y, allowed.pixels);
+    to.add("distance of point", at, depth, allowed.depth);
+    to.add("cosine of point", at, cosine, allowed.cosine);
+    if (!two_cameras) { to.add("right column of point", at, right_x, allowed.pixels); }
   }
-  template <typename MapPoint>
-  explicit tracked_values(MapPoint const& p) {
-    members(*this) = tracked_members(p);
+  if (in_view_right) {
+    to.add("right octave of point", at, level_right);
+    to.add("right x of point", at, right_x, allowed.pixels);
+    to.add("right y of point", at, right_y, allowed.pixels);
+    to.add("right distance of point", at, depth_right, allowed.depth);
+    to.add("right cosine of point", at, cosine_right, allowed.cosine);
   }
-  template <typename MapPoint>
-  void restore(MapPoint& p) const {
-    tracked_members(p) = members(*this);
-  }
-  /// @param at index of the point in the local map
-  void add_to(readings& to, long at, bool two_cameras, tolerances const& allowed) const {
-    to.add("point in view", at, in_view);
-    to.add("point in right view", at, in_view_right);
-    if (in_view) {
-      to.add("octave of point", at, level);
-      to.add("x of point", at, x, allowed.pixels);
-      to.add("y of point", at, y, allowed.pixels);
-      to.add("distance of point", at, depth, allowed.depth);
-      to.add("cosine of point", at, cosine, allowed.cosine);
-      if (!two_cameras) { to.add("right column of point", at, right_x, allowed.pixels); }
-    }
-    if (in_view_right) {
-      to.add("right octave of point", at, level_right);
-      to.add("right x of point", at, right_x, allowed.pixels);
-      to.add("right y of point", at, right_y, allowed.pixels);
-      to.add("right distance of point", at, depth_right, allowed.depth);
-      to.add("right cosine of point", at, cosine_right, allowed.cosine);
-    }
-  }
-};
+}
 
 /// Finds map points that changed without being pushed: a change hook that was forgotten, also where
 /// the old value gives the same answers.

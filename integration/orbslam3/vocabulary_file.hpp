@@ -2,9 +2,9 @@
 /// @file The vocabulary that ORB-SLAM3 is started with, from its file.
 #pragma once
 
-#include <algorithm>
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -31,15 +31,14 @@ namespace vocabulary_detail {
 /// The name of the binary form of a text: with its size and the hash of all of it, so that another
 /// text has another name, whatever the files' dates. Reads `text` to its end, and goes back.
 inline std::string name_beside(std::string const& path, std::istream& text) {
-  vocabulary_hash hash;
+  detail::checksum hash;
   std::size_t size = 0;
   std::vector<char> part(std::size_t{1} << 20);
   do {
     text.read(part.data(), static_cast<std::streamsize>(part.size()));
     auto const n = static_cast<std::size_t>(text.gcount());
     size += n;
-    std::memset(part.data() + n, 0, std::min<std::size_t>(part.size() - n, 8));
-    hash.add(part.data(), (n + 7) / 8 * 8);
+    hash.add(part.data(), n);
   } while (text);
   text.clear();
   text.seekg(0);
@@ -65,6 +64,25 @@ inline void write_beside(std::string const& file, vocabulary_view const& v) {
 }
 
 }  // namespace vocabulary_detail
+
+/// `facts` with the hashes of its words, but for those of weight 0 at the end.
+/// @param weight,descriptor of a word: a double; 32 bytes, any type without padding
+template <typename Weight, typename Descriptor>
+vocabulary_facts facts_of(vocabulary_facts facts, Weight const& weight,
+                          Descriptor const& descriptor) {
+  while (facts.words > 0 && weight(facts.words - 1) == 0) { --facts.words; }
+  detail::checksum weights;
+  detail::checksum descriptors;
+  for (std::size_t w = 0; w < facts.words; ++w) {
+    double const value = weight(w);
+    weights.add(&value, sizeof value);
+    auto const& bits = descriptor(w);
+    descriptors.add(&bits, 32);
+  }
+  facts.weights = weights.value();
+  facts.descriptors = descriptors.value();
+  return facts;
+}
 
 /// Of a vocabulary in host memory. Words of weight 0 at the end are left out: ORB-SLAM3's reader
 /// makes one of the empty line at the end of a file.

@@ -171,8 +171,7 @@ TEST_P(front_ends, go_on_with_the_cpu_where_a_call_fails_and_say_so_once) {
 }
 
 TEST_P(front_ends, that_lose_the_device_between_features_and_stereo_have_a_frame_without_stereo) {
-  auto s = settings_for(sensor::stereo);
-  s.stereo_with_extraction = false;
+  auto const s = settings_for(sensor::stereo);
   heard said;
   auto device = std::make_unique<watched_device>(make(s));
   device->on_call = [](std::string const& call) {

@@ -32,7 +32,7 @@ struct inertial_setup {
 
 template <int Rows, int Columns, typename T>
 Eigen::Matrix<T, Rows, Columns> matrix_of(T const* rows) {
-  return ft::orbslam3::inertial_detail::matrix_of<Rows, Columns>(rows);
+  return Eigen::Map<Eigen::Matrix<T, Rows, Columns, Eigen::RowMajor> const>(rows);
 }
 inline Eigen::Vector3f vector_of(ft::vec3<float> v) { return {v.x, v.y, v.z}; }
 inline Eigen::Vector3d vector_of(ft::vec3<double> v) { return {v.x, v.y, v.z}; }

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "ft/containers/image_pyramid.hpp"
 #include "integration/orbslam3/frame_fields.hpp"
 #include "integration/orbslam3/recovery_stages.hpp"
 #include "tests/integration/orbslam3/plain_search.hpp"
@@ -17,7 +18,10 @@ namespace orbslam3_test {
 
 struct lost_frame : two_views {
   explicit lost_frame(sensor kind, unsigned seed = 3) : two_views(kind, seed) {
-    ft::orbslam3::scale_tables(settings).fill(frame);
+    auto const& s = settings;
+    ft::orbslam3::fill_scale_tables(
+        ft::pyramid_geometry::make(s.width, s.height, s.levels, s.scale_factor), s.scale_factor,
+        frame);
   }
   /// Points by keypoint, nearly all of them right: a wide search from the last frame.
   std::vector<stand_in::map_point*> matches() const {

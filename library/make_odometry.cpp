@@ -18,6 +18,14 @@ void require_cameras(rig_description const& rig) {
                        std::to_string(least) +
                        (most > least ? " to " + std::to_string(most) : std::string()));
   }
+  for (int c = 0; c < rig.cameras && rig.kind == rig_kind::multi; ++c) {
+    int const right = rig.camera[c].right;
+    if (right < -1 || right >= rig.cameras) {
+      throw bad_argument("ft: the right camera of camera " + std::to_string(c) + " is " +
+                         std::to_string(right) + ", must be below " + std::to_string(rig.cameras) +
+                         ", or -1 for none");
+    }
+  }
 }
 
 /// Whether a multi rig has other cameras than pinholes and rectified pairs of them.

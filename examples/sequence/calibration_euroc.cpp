@@ -92,6 +92,19 @@ calibration read_euroc_calibration(std::string const& mav0, camera_kind kind) {
   double right_fps = 0;
   result.rig.right = read_sensor(right_path, T_body_right, right_fps, result.warnings);
   result.rig.T_left_right = result.rig.T_body_left.inverse() * T_body_right;
+  for (int k = 2;; ++k) {
+    std::string const path =
+        (fs::path(mav0) / ("cam" + std::to_string(k)) / "sensor.yaml").string();
+    if (!is_file(path)) { break; }
+    auto const add = [&] {
+      mounted_camera camera;
+      Eigen::Isometry3d T_body_this;
+      camera.camera = read_sensor(path, T_body_this, right_fps, result.warnings);
+      camera.T_left_this = result.rig.T_body_left.inverse() * T_body_this;
+      result.rig.more.push_back(camera);
+    };
+    if (!added_camera(result.rig, k, path, add, result.warnings)) { break; }
+  }
   check_rig(result.rig, left_path + " and cam1/sensor.yaml");
   return result;
 }

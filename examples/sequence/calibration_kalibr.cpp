@@ -144,6 +144,33 @@ void warn_of_rest(yaml_file const& camera, std::vector<std::string>& warnings) {
   }
 }
 
+/// Maps points of camera k into the one before it.
+Eigen::Isometry3d previous_from(yaml_file const& camera, int k, bool mounted,
+                                Eigen::Isometry3d const& T_imu_previous) {
+  Eigen::Isometry3d T_imu_camera;
+  if (camera.has("T_cn_cnm1")) { return camera.transform("T_cn_cnm1").inverse(); }
+  if (mounted && read_mount(camera, T_imu_camera)) {
+    return T_imu_previous.inverse() * T_imu_camera;
+  }
+  throw error(camera.path() + ": T_cn_cnm1 is missing: where is cam" + std::to_string(k) + "?");
+}
+
+/// cam2 and those after it.
+void read_more(yaml_file const& file, calibration& result) {
+  stereo_rig& rig = result.rig;
+  Eigen::Isometry3d T_left_previous = rig.T_left_right;
+  for (int k = 2; file.is_map("cam" + std::to_string(k)); ++k) {
+    yaml_file const part = file.part("cam" + std::to_string(k));
+    auto const add = [&] {
+      T_left_previous = T_left_previous * previous_from(part, k, result.has_body_frame,
+                                                        rig.T_body_left * T_left_previous);
+      rig.more.push_back({read_kalibr_camera(part), T_left_previous});
+      warn_of_rest(part, result.warnings);
+    };
+    if (!added_camera(rig, k, file.path(), add, result.warnings)) { return; }
+  }
+}
+
 }  // namespace
 
 calibration read_kalibr_calibration(std::string const& path, camera_kind kind) {
@@ -159,14 +186,7 @@ calibration read_kalibr_calibration(std::string const& path, camera_kind kind) {
     }
     yaml_file const right = file.part("cam1");
     rig.right = read_kalibr_camera(right);
-    Eigen::Isometry3d T_body_right;
-    if (right.has("T_cn_cnm1")) {
-      rig.T_left_right = right.transform("T_cn_cnm1").inverse();
-    } else if (result.has_body_frame && read_mount(right, T_body_right)) {
-      rig.T_left_right = rig.T_body_left.inverse() * T_body_right;
-    } else {
-      throw error(right.path() + ": T_cn_cnm1 is missing: where is cam1?");
-    }
+    rig.T_left_right = previous_from(right, 1, result.has_body_frame, rig.T_body_left);
     check_baseline(rig, path, "T_cn_cnm1");
     warn_of_rest(right, result.warnings);
   } else {
@@ -177,9 +197,9 @@ calibration read_kalibr_calibration(std::string const& path, camera_kind kind) {
   }
   std::string const imu = find_imu_file(path);
   if (!imu.empty() && result.has_body_frame) { result.imu = read_kalibr_imu(imu, result.warnings); }
+  if (kind == camera_kind::stereo) { read_more(file, result); }
   check_rig(rig, path, kind);
   warn_of_rest(left, result.warnings);
-  if (file.has("cam2")) { result.warnings.push_back(path + ": cameras after cam1 are not taken"); }
   return result;
 }
 

@@ -42,7 +42,29 @@ std::string layout_line(sequence const& s) {
          std::filesystem::path(s.source().calibration).filename().string();
 }
 
+/// Of a rig whose images are taken as they are.
+std::string rig_line(stereo_rig const& rig) {
+  std::vector<rig_camera> const all = rig_cameras(rig);
+  std::string line = std::to_string(all.size()) + " cameras, " + std::to_string(rig.left.width) +
+                     "x" + std::to_string(rig.left.height);
+  std::vector<bool> right(all.size());
+  for (rig_camera const& c : all) {
+    if (c.right >= 0) { right[static_cast<std::size_t>(c.right)] = true; }
+  }
+  for (std::size_t k = 0; k < all.size(); ++k) {
+    if (right[k]) { continue; }
+    line += "; cam" + std::to_string(k) + " " + lens_name(all[k].camera);
+    if (all[k].right < 0) { continue; }
+    rig_camera const& other = all[static_cast<std::size_t>(all[k].right)];
+    double const apart = (all[k].T_left_this.inverse() * other.T_left_this).translation().norm();
+    line += " and cam" + std::to_string(all[k].right) + " " + lens_name(other.camera) + ", " +
+            to_text(apart) + " m apart";
+  }
+  return line;
+}
+
 std::string cameras_line(sequence const& s) {
+  if (s.mixed()) { return rig_line(s.raw_rig()); }
   stereo_rig const& raw = s.raw_rig();
   bool const pair = s.kind() == camera_kind::stereo;
   std::string line = pair                            ? "stereo pair"

@@ -140,8 +140,11 @@ image read_pnm(std::string const& path, bytes_of const& bytes) {
   std::size_t const count = h.width * h.height;
   std::size_t const channels = h.colour ? 3 : 1;
   bool const wide = h.largest > 255;
-  check_bytes(path, bytes, h.data, count * channels * (wide ? 2 : 1));
+  std::size_t const size = count * channels * (wide ? 2 : 1);
+  check_bytes(path, bytes, h.data, size);
   std::uint8_t const* from = bytes.data() + h.data;
+  // A header whose lines end as those of Windows.
+  if (from[-1] == '\r' && from[0] == '\n' && bytes.size() - h.data == size + 1) { ++from; }
   auto const sample = [&]() -> std::uint8_t {
     unsigned value = *from++;
     if (wide) { value = value << 8 | *from++; }

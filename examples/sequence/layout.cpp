@@ -89,6 +89,49 @@ void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& 
   }
 }
 
+namespace {
+
+void add_camera(camera_images const& camera, std::int64_t most_ns, layout_of_files& layout) {
+  std::vector<listed_image> const there = present(camera.images);
+  std::vector<std::int64_t> times;
+  for (frame_files const& frame : layout.frames) { times.push_back(frame.time_ns); }
+  std::vector<frame_files> kept;
+  for (auto const& [i, k] : nearest_pairs(times, times_of(there), most_ns)) {
+    kept.push_back(std::move(layout.frames[i]));
+    kept.back().more.push_back(there[k].file);
+  }
+  if (kept.empty()) {
+    throw error(layout.root.string() + ": " + camera.name +
+                " has no image of the time of a pair, within " + milliseconds(most_ns) + " ms");
+  }
+  if (kept.size() < times.size()) {
+    layout.warnings.push_back(std::to_string(times.size() - kept.size()) + " of " +
+                              std::to_string(times.size()) + " frames left out: " + camera.name +
+                              " has no image within " + milliseconds(most_ns) + " ms of them");
+  }
+  layout.frames = std::move(kept);
+}
+
+}  // namespace
+
+void add_cameras(calibration& calib, open_options const& options, layout_of_files& layout) {
+  std::vector<mounted_camera>& more = calib.rig.more;
+  bool const wanted =
+      layout.kind == camera_kind::stereo && options.rig == camera_kind::any && options.keep_fisheye;
+  std::size_t const count = wanted ? std::min(more.size(), layout.more.size()) : 0;
+  std::size_t const most = std::max(more.size(), layout.more.size());
+  if (wanted && count < most) {
+    layout.warnings.push_back(
+        "cam" + std::to_string(2 + count) + (count + 1 < most ? " and those after it are" : " is") +
+        " not taken: it has no " + (count < more.size() ? "images" : "calibration"));
+  }
+  more.resize(count);
+  for (std::size_t k = 0; k < count; ++k) {
+    add_camera(layout.more[k], options.max_time_difference_ns.value_or(most_between_cameras_ns),
+               layout);
+  }
+}
+
 void take_images(std::vector<listed_image> const& images, std::string const& path,
                  layout_of_files& layout) {
   for (listed_image const& image : images) {

@@ -59,6 +59,12 @@ void find_euroc_frames(layout_of_files& layout, open_options const& options) {
     lists.left_name = "cam0";
     lists.second_name = "cam1";
     pair_frames(lists, options.max_time_difference_ns.value_or(most_between_cameras_ns), layout);
+    for (int k = 2; options.rig == camera_kind::any; ++k) {
+      std::string const name = "cam" + std::to_string(k);
+      fs::path const folder = camera(name.c_str());
+      if (!is_file((folder / "data.csv").string())) { break; }
+      layout.more.push_back({name, read_image_list(folder, layout.warnings)});
+    }
     return;
   }
   take_images(read_image_list(camera("cam0"), layout.warnings),

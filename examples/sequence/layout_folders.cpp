@@ -85,7 +85,8 @@ fs::path with_images(fs::path const& folder) {
 }
 
 struct camera_folders {
-  fs::path left, right;  ///< right is empty for one camera
+  fs::path left, right;        ///< right is empty for one camera
+  std::vector<fs::path> more;  ///< of cam0, cam1: cam2 ...
 };
 
 camera_folders find_folders(fs::path const& root) {
@@ -96,11 +97,20 @@ camera_folders find_folders(fs::path const& root) {
                                       {"infra1", "infra2"},   {"left_images", "right_images"}};
   for (auto const& [left, right] : pairs) {
     fs::path const first = with_images(root / left);
-    if (!first.empty()) { return {first, with_images(root / right)}; }
+    if (first.empty()) { continue; }
+    camera_folders found{first, with_images(root / right), {}};
+    std::string const name = left;
+    for (int k = 2; name.rfind("cam", 0) == 0 && !found.right.empty(); ++k) {
+      fs::path const next =
+          with_images(root / (name.substr(0, name.size() - 1) + std::to_string(k)));
+      if (next.empty()) { break; }
+      found.more.push_back(next);
+    }
+    return found;
   }
   for (char const* name : {"images", "image", "rgb", "color", "frames", ""}) {
     fs::path const first = with_images(name[0] == 0 ? root : root / name);
-    if (!first.empty()) { return {first, {}}; }
+    if (!first.empty()) { return {first, {}, {}}; }
   }
   return {};
 }
@@ -282,6 +292,24 @@ void by_number(std::vector<named_image> const& left, std::vector<named_image> co
   layout.unpaired.right = pair ? static_cast<int>(others.size() - common) : 0;
 }
 
+/// The images of a camera beside a pair that is counted: they have the times of the left ones.
+/// @param times of the left images, in their order
+std::vector<listed_image> at_times_of(std::vector<named_image> const& left,
+                                      std::vector<std::int64_t> const& times,
+                                      std::vector<named_image> const& images) {
+  std::vector<std::int64_t> const numbers = counters_of(left);
+  std::vector<std::int64_t> const others = counters_of(images);
+  bool const by_order = numbers.empty() || others.empty();
+  std::vector<listed_image> listed;
+  for (std::size_t i = 0, k = 0; i < left.size() && k < images.size(); ++i) {
+    while (!by_order && k < others.size() && others[k] < numbers[i]) { ++k; }
+    if (k < images.size() && (by_order || others[k] == numbers[i])) {
+      listed.push_back({times[i], images[k++].file});
+    }
+  }
+  return listed;
+}
+
 }  // namespace
 
 bool has_image_folders(fs::path const& root) { return !find_folders(root).left.empty(); }
@@ -301,10 +329,15 @@ void find_folder_frames(layout_of_files& layout, open_options const& options) {
   std::vector<named_image> const right = pair ? list_images(folders.right) : left;
   std::string times = options.times;
   if (times.empty() && options.fps == 0) { times = find_times(layout.root, folders.left); }
-  if (options.fps > 0 || !times.empty()) {
-    by_number(left, right, times, options, layout);
-    return;
+  bool const counted = options.fps > 0 || !times.empty();
+  if (counted) { by_number(left, right, times, options, layout); }
+  for (std::size_t k = 0; pair && options.rig == camera_kind::any && k < folders.more.size(); ++k) {
+    std::vector<named_image> const images = list_images(folders.more[k]);
+    layout.more.push_back(
+        {"cam" + std::to_string(2 + k), counted ? at_times_of(left, layout.times, images)
+                                                : by_name(images, folders.more[k], layout)});
   }
+  if (counted) { return; }
   two_lists lists;
   lists.left = by_name(left, folders.left, layout);
   if (!pair) {

@@ -28,6 +28,7 @@ struct sequence::impl {
   stereo_rig raw;
   stereo_rig rig;
   bool fisheye = false;
+  bool mixed = false;
   bool has_body_frame = false;
   double depth_unit = 0;
   std::string depth_unit_from;
@@ -165,6 +166,12 @@ Eigen::Isometry3d sequence::impl::prepare_images(std::string const& directory,
   Eigen::Isometry3d T_raw_loaded = Eigen::Isometry3d::Identity();
   bool const all_fisheye =
       raw.left.model == lens::kannala_brandt && raw.right.model == lens::kannala_brandt;
+  std::string const source = options.calibration.empty() ? directory : options.calibration;
+  mixed = kind == camera_kind::stereo && options.keep_fisheye && detail::is_mixed(raw);
+  if (mixed) {
+    detail::check_mixed(raw, source);
+    return T_raw_loaded;
+  }
   bool const pinhole =
       kind == camera_kind::stereo ? raw.rectified() : raw.left.model == lens::pinhole;
   if (all_fisheye && options.keep_fisheye && kind != camera_kind::rgbd) {
@@ -173,7 +180,6 @@ Eigen::Isometry3d sequence::impl::prepare_images(std::string const& directory,
     stereo_rig pair = raw;
     // One camera: as the left one of a pair that needs no rotation.
     if (kind == camera_kind::mono) { pair.T_left_right.translation().x() = usual_virtual_baseline; }
-    std::string const source = options.calibration.empty() ? directory : options.calibration;
     try {
       rectify.emplace(pair);
     } catch (error const& e) { throw error(source + ": " + e.what()); }
@@ -222,7 +228,8 @@ sequence sequence::open(std::string const& directory, open_options const& option
   check_options(directory, options);
   layout_of_files files = detail::find_layout(directory, options);
   recording_source source;
-  calibration const calib = detail::find_calibration(files, options, source);
+  calibration calib = detail::find_calibration(files, options, source);
+  detail::add_cameras(calib, options, files);
   auto p = std::make_unique<impl>();
   p->name = files.root.filename().string();
   p->layout = files.name;
@@ -275,6 +282,7 @@ double sequence::depth_unit() const { return impl_->depth_unit; }
 std::string const& sequence::depth_unit_from() const { return impl_->depth_unit_from; }
 std::vector<std::string> const& sequence::warnings() const { return impl_->warnings; }
 bool sequence::fisheye() const { return impl_->fisheye; }
+bool sequence::mixed() const { return impl_->mixed; }
 bool sequence::has_body_frame() const { return impl_->has_body_frame; }
 unpaired_images sequence::unpaired() const { return impl_->unpaired; }
 orb_settings const& sequence::settings() const { return impl_->settings; }
@@ -297,6 +305,9 @@ stereo_frame sequence::load(int i) const {
   if (impl_->kind == camera_kind::stereo) {
     frame.right = read_checked(files.second, impl_->raw.right);
     if (rectify) { frame.right = rectify->right(frame.right); }
+    for (std::size_t k = 0; k < files.more.size(); ++k) {
+      frame.more.push_back(read_checked(files.more[k], impl_->raw.more[k].camera));
+    }
   } else if (impl_->kind == camera_kind::rgbd) {
     frame.depth = read_checked_depth(files.second, impl_->raw.left);
     if (rectify) { frame.depth = moved(frame.depth, rectify->left_map()); }

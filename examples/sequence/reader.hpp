@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Opens a sequence on disk: a pair of cameras or one, in EuRoC's (ASL) or KITTI odometry's
-/// layout (image_0 and image_1, or without them the colour images image_2 and image_3), or a camera
-/// with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt), or plain
-/// folders of images (left and right, or one).
+/// @file Opens a sequence on disk: a rig of cameras, a pair or one, in EuRoC's (ASL) or KITTI
+/// odometry's layout (image_0 and image_1, or without them the colour images image_2 and image_3),
+/// or a camera with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt),
+/// or plain folders of images (left and right, or one).
 #pragma once
 
 #include <cstdint>
@@ -44,16 +44,16 @@ struct open_options {
   /// Calibration file or folder to use instead of the folder's own: whatever read_calibration
   /// knows. Empty = the folder's.
   std::string calibration;
-  /// Keeps fisheye (Kannala-Brandt) pairs and single cameras as they are; others are rectified on
-  /// load: a single camera to a pinhole.
+  /// Keeps fisheye (Kannala-Brandt) pairs and single cameras, and mixed rigs, as they are; others
+  /// are rectified on load: a single camera to a pinhole. Without it a rig is its first pair.
   bool keep_fisheye = true;
   /// Reads at most this many frames; 0 = all.
   int max_frames = 0;
   /// Reads the IMU's samples from mav0/imu0, or of plain folders from imu0/data.csv or imu.csv.
   /// Without it no file of the IMU is opened.
   bool read_imu = false;
-  /// What to open: with `any` a pair where there is one, else the camera with its depth images
-  /// where there are some, else the one camera.
+  /// What to open: with `any` a pair where there is one, with the cameras beside it, else the
+  /// camera with its depth images where there are some, else the one camera.
   camera_kind rig = camera_kind::any;
   /// How far the time stamps of the two images of a frame may be apart, at least 0. Nothing = 1 ms
   /// for a pair of cameras, 20 ms for colour and depth.
@@ -113,6 +113,10 @@ public:
   /// The cameras as calibrated.
   stereo_rig const& raw_rig() const;
   bool fisheye() const;
+  /// Whether the images are those of rig_cameras(), as they are: there are cameras beside the pair,
+  /// or the pair is not to be rectified: one wide lens beside another one, or one camera above the
+  /// other.
+  bool mixed() const;
   double depth_unit() const;                   ///< metres per unit of depth images; 0 without
   std::string const& depth_unit_from() const;  ///< who says so, for people
   /// What was left out or looks wrong, a sentence each: lines with doubled time stamps, stamps that
@@ -141,6 +145,15 @@ private:
   explicit sequence(std::unique_ptr<impl> p);
   std::unique_ptr<impl> impl_;
 };
+
+/// A camera of a rig that is not rectified.
+struct rig_camera : mounted_camera {
+  int right = -1;  ///< number of the camera that its depths come from; -1 = it is a single one
+};
+
+/// All cameras of a rig, the left one first. Two make a pair that look the same way within 45
+/// degrees and are in two places; the first one that is left is taken.
+std::vector<rig_camera> rig_cameras(stereo_rig const& rig);
 
 /// What was found in a recording, for people.
 struct description_line {

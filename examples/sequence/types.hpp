@@ -64,6 +64,13 @@ enum class camera_kind {
   rgbd,    ///< one camera with depth images
 };
 
+/// A camera on a rig.
+struct mounted_camera {
+  camera_intrinsics camera;
+  Eigen::Isometry3d T_left_this =
+      Eigen::Isometry3d::Identity();  ///< maps its points to the left camera
+};
+
 /// A calibrated pair, or one camera: `right` equals `left` then, and T_left_right is the identity,
 /// or with depth images the place of a virtual right camera. Camera frames: x right, y down, z
 /// forward; metres.
@@ -75,6 +82,7 @@ struct stereo_rig {
   Eigen::Isometry3d T_body_left =
       Eigen::Isometry3d::Identity();  ///< maps left-camera points to the body (IMU) frame
   double fps = 0;                     ///< 0 = unknown
+  std::vector<mounted_camera> more;   ///< cameras beside the pair, the third one first
 
   double baseline() const { return T_left_right.translation().norm(); }
   /// True if rows of both images correspond: two equal pinholes, T_left_right a translation along
@@ -100,8 +108,9 @@ struct depth_image {
 struct stereo_frame {
   std::int64_t time_ns = 0;
   image left;
-  image right;        ///< of a pair only
-  depth_image depth;  ///< of a camera with depth only: registered to `left`, of its size
+  image right;              ///< of a pair only
+  std::vector<image> more;  ///< of stereo_rig::more
+  depth_image depth;        ///< of a camera with depth only: registered to `left`, of its size
 };
 
 /// Noise densities of an IMU. The defaults are those of the EuRoC data sets.

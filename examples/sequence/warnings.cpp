@@ -173,7 +173,10 @@ std::vector<std::string> warnings_of(run_report const& report) {
   }
   for (std::string const& found : report.calibration) { out.push_back("calibration: " + found); }
   double const share = stereo_share(report.records);
-  if (!report.one_camera && share < least_stereo_share) {
+  // Most cameras of a rig have no partners, and those of a pair that is not rectified have few.
+  auto const rig = report.options.find("rig");
+  bool const mixed = rig != report.options.end() && rig->second == "mixed";
+  if (!report.one_camera && !mixed && share < least_stereo_share) {
     out.push_back(
         "only " + fixed(100 * share, 1) +
         (report.depth_images

@@ -26,6 +26,8 @@ char const* rig_name(ft::rig_kind kind) {
       return "rgbd";
     case ft::rig_kind::fisheye_pair:
       return "fisheye";
+    case ft::rig_kind::multi:
+      return "mixed";
     default:
       return "rectified";
   }

@@ -15,22 +15,47 @@
 namespace app {
 namespace {
 
-ft::camera_description camera_of(seq::camera_intrinsics const& c, bool fisheye) {
-  auto camera = ft::camera_description::make(ft::camera_kind::pinhole, {c.fx, c.fy, c.cx, c.cy});
-  if (fisheye) {
-    camera.kind = ft::camera_kind::kannala_brandt;
-    for (std::size_t i = 0; i < 4 && i < c.distortion.size(); ++i) {
-      camera.parameters[4 + i] = c.distortion[i];
-    }
+ft::camera_kind kind_of(seq::camera_intrinsics const& c) {
+  switch (c.model) {
+    case seq::lens::radial_tangential:
+      return c.distortion.size() == 4   ? ft::camera_kind::radtan4
+             : c.distortion.size() == 5 ? ft::camera_kind::radtan5
+                                        : ft::camera_kind::radtan8;
+    case seq::lens::kannala_brandt:
+      return ft::camera_kind::kannala_brandt;
+    case seq::lens::double_sphere:
+      return ft::camera_kind::double_sphere;
+    default:
+      return ft::camera_kind::pinhole;
   }
+}
+
+/// @param of the images that are tracked: a pinhole where they were rectified
+ft::camera_description camera_description_of(seq::camera_intrinsics const& c) {
+  auto camera = ft::camera_description::make(kind_of(c), {c.fx, c.fy, c.cx, c.cy});
+  std::copy(c.distortion.begin(), c.distortion.end(), camera.parameters + 4);
   return camera;
+}
+
+/// The body is the left camera.
+ft::rig_description mixed_description_of(seq::stereo_rig const& rig) {
+  ft::rig_description all;
+  all.kind = ft::rig_kind::multi;
+  all.cameras = 0;
+  for (seq::rig_camera const& c : seq::rig_cameras(rig)) {
+    ft::camera_description& to = all.camera[all.cameras++];
+    to = camera_description_of(c.camera);
+    to.right = c.right;
+    to.T_camera_body = rigid_of(c.T_left_this.inverse());
+  }
+  return all;
 }
 
 ft::rig_description rig_of(arguments const& a, seq::sequence const& sequence) {
   auto const& rig = sequence.rig();
-  bool const fisheye = sequence.fisheye();
+  if (sequence.mixed()) { return mixed_description_of(rig); }
   auto const baseline = static_cast<double>(static_cast<float>(rig.baseline()));
-  auto const left = camera_of(rig.left, fisheye);
+  auto const left = camera_description_of(rig.left);
   if (sequence.kind() == seq::camera_kind::mono) { return ft::rig_description::monocular(left); }
   if (sequence.kind() == seq::camera_kind::rgbd) {
     auto rgbd = ft::rig_description::rgbd(left, baseline, sequence.depth_unit());
@@ -38,8 +63,8 @@ ft::rig_description rig_of(arguments const& a, seq::sequence const& sequence) {
     rgbd.max_depth = a.max_depth;
     return rgbd;
   }
-  if (fisheye) {
-    return ft::rig_description::fisheye_pair(left, camera_of(rig.right, true),
+  if (sequence.fisheye()) {
+    return ft::rig_description::fisheye_pair(left, camera_description_of(rig.right),
                                              rigid_of(rig.T_left_right.inverse()));
   }
   return ft::rig_description::rectified_pair(rig.left.fx, rig.left.fy, rig.left.cx, rig.left.cy,
@@ -131,6 +156,10 @@ odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
   o.near_depth = a.near_depth > 0 ? a.near_depth : settings.depth_threshold.value_or(o.near_depth);
   p.rules.near_depth = f(o.near_depth);
   p.map_slots = std::max(p.map_slots, 8 * p.orb.features);
+  if (o.rig.kind == ft::rig_kind::multi) {  // of all cameras
+    p.map_slots = std::max(1 << 15, p.map_slots);
+    p.local_points = p.window_points = 12288;
+  }
   // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   p.measure_stages = a.timing;

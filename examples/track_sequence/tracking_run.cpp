@@ -66,6 +66,7 @@ ft::any_images images_of(seq::stereo_frame const& frame) {
     return ft::gray_view{i.pixels.data(), i.width, i.height, i.width};
   };
   ft::any_images images{{gray(frame.left), gray(frame.right)}, {}};
+  std::transform(frame.more.begin(), frame.more.end(), images.gray + 2, gray);
   auto const& depth = frame.depth;
   images.depth = ft::image_view<std::uint16_t const>{depth.pixels.data(), depth.width, depth.height,
                                                      depth.width};

@@ -132,25 +132,30 @@ class MonocularCamera:
 
 @dataclass
 class RigCamera:
-    """A camera of a MultiRig: the left one of a rectified pair or, with a `baseline` of 0, a single one. `camera`: fx, fy,
-    cx, cy, pixels. `baseline`: to the right camera of the pair, metres. `T_camera_body` (4, 4) maps points of the body to
-    the (left) camera."""
+    """A camera of a MultiRig: the left one of a rectified pair or, with a `baseline` of 0, one of its own. `camera`: fx, fy,
+    cx, cy, pixels, or ft.Pinhole, ft.RadTan, ft.KannalaBrandt or ft.DoubleSphere. `baseline`: to the right camera of the
+    rectified pair, metres. `T_camera_body` (4, 4) maps points of the body to the (left) camera. `right`: the number of
+    another camera of the rig that sees the same: both are a pair, which is not rectified."""
 
     camera: Camera
     baseline: float = 0.0
     T_camera_body: ArrayLike = field(default_factory=lambda: np.eye(4))
+    right: Optional[int] = None
 
     def _plain(self) -> dict[str, object]:
-        return {"camera": _values(self.camera), "baseline": self.baseline,
-                "T_camera_body": _matrix(self.T_camera_body, "T_camera_body")}
+        models = {_ft.Pinhole: "pinhole", _ft.RadTan: "radtan8", _ft.KannalaBrandt: "kannala_brandt",
+                  _ft.DoubleSphere: "double_sphere"}
+        return {"model": next((name for m, name in models.items() if isinstance(self.camera, m)), "pinhole"),
+                "camera": _values(self.camera, models=tuple(models)), "baseline": self.baseline,
+                "T_camera_body": _matrix(self.T_camera_body, "T_camera_body"), "right": self.right}
 
 
 @dataclass
 class MultiRig:
-    """1 to 16 pinhole cameras fixed to a body, at least one of them a pair, in any order. One map and one pose, that of
-    the body, come from all of them. `cameras`: a list of RigCamera. A frame has an image for each single camera and two,
-    left and right, for each pair, in the order of `cameras`. A single camera makes no points: it finds those of the
-    pairs. Memory is taken for 4 cameras; from the fifth on for 16."""
+    """1 to 16 cameras of any models fixed to a body, at least two of them a pair, in any order. One map and one pose, that
+    of the body, come from all of them. `cameras`: a list of RigCamera. A frame has an image for each camera and two, left
+    and right, for each rectified pair, in the order of `cameras`. A single camera makes no points: it finds those of the
+    pairs. Memory is taken for 4 pinholes; from the fifth on, and for other models, for 16 cameras."""
 
     cameras: list[RigCamera]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _ft
-from .rigs import FisheyePair, Imu, MonocularCamera, RectifiedPair, RgbdCamera, _matrix
+from .rigs import FisheyePair, Imu, MonocularCamera, MultiRig, RectifiedPair, RgbdCamera, RigCamera, _matrix
 from .unpacking import Unpacked, Wanted, unpacked
 
 Path = Union[str, os.PathLike[str]]
@@ -43,6 +43,13 @@ class Errors(TypedDict):
     T_truth_estimate: NDArray[np.float64]
 
 
+class _FileCamera(TypedDict):
+    model: str
+    camera: list[float]
+    T_camera_body: NDArray[np.float64]
+    right: Optional[int]
+
+
 class _FileRig(TypedDict):
     kind: str
     fisheye: bool
@@ -53,6 +60,7 @@ class _FileRig(TypedDict):
     depth_unit: float
     width: int
     height: int
+    cameras: list[_FileCamera]
 
 
 class _FileImu(TypedDict):
@@ -70,8 +78,8 @@ class _FileImu(TypedDict):
 
 @dataclass
 class Frame:
-    """Images taken at time_ns, a tuple in the order of ft.Odometry.track: left and right of a pair, the one of a single
-    camera, or that and its depth image; (height, width) uint8, depth uint16."""
+    """Images taken at time_ns, a tuple in the order of ft.Odometry.track: left and right of a pair, those of
+    a rig's cameras, the one of a single camera, or that and its depth image; (height, width) uint8, depth uint16."""
 
     time_ns: int
     images: tuple[NDArray[np.uint8], ...]
@@ -150,8 +158,8 @@ class Trajectory:
 
 
 class Sequence:
-    """Frames on disk, decoded when they are asked for; of fisheye cameras as they are, of others rectified. rig: what
-    ft.Odometry takes. ground_truth: a Trajectory, which is empty, and false, where there is none. warnings: what was left
+    """Frames on disk, decoded when they are asked for; of fisheye cameras and of a MultiRig as they are, of others
+    rectified. rig: what ft.Odometry takes; that of more than two cameras, or of a pair of different lenses, is a MultiRig. ground_truth: a Trajectory, which is empty, and false, where there is none. warnings: what was left
     out or looks wrong, a sentence each. files: that of the extension."""
 
     def __init__(self, files: _ft.SequenceFiles, min_depth: float = 0.0, max_depth: Optional[float] = None,
@@ -161,10 +169,15 @@ class Sequence:
         rig = cast(_FileRig, files.rig)
         self.baseline, self.kind = rig["baseline"], rig["kind"]
         self.width, self.height = rig["width"], rig["height"]
-        self.rig: Union[MonocularCamera, RgbdCamera, FisheyePair, RectifiedPair]
-        left: Union[_ft.KannalaBrandt, _ft.Pinhole]
+        self.rig: Union[MonocularCamera, RgbdCamera, FisheyePair, RectifiedPair, MultiRig]
+        left: Union[_ft.KannalaBrandt, _ft.Pinhole, _ft.RadTan, _ft.DoubleSphere]
         left = _ft.KannalaBrandt(rig["left"]) if rig["fisheye"] else _ft.Pinhole(rig["left"][:4])
-        if self.kind == "mono":
+        if rig["cameras"]:
+            cameras = [getattr(_ft, c["model"])(c["camera"]) for c in rig["cameras"]]
+            left = cameras[0]
+            self.rig = MultiRig([RigCamera(camera, 0.0, c["T_camera_body"], c["right"])
+                                 for camera, c in zip(cameras, rig["cameras"])])
+        elif self.kind == "mono":
             self.rig = MonocularCamera(left)
         elif self.kind == "rgbd":
             self.rig = RgbdCamera(left, rig["baseline"], rig["depth_unit"], min_depth, max_depth)

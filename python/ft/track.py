@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 import warnings
-from typing import TYPE_CHECKING, Mapping, Optional
+from typing import TYPE_CHECKING, Any, Mapping, Optional, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import ft
 
 from . import _ft
+from .odometry import TrackedKeypoints
 from .sequences import Settings
 
 if TYPE_CHECKING:
@@ -75,11 +76,15 @@ def make_odometry(arguments: argparse.Namespace, sequence: ft.Sequence,
         settings["features"] = arguments.features
     if arguments.near is not None:
         settings["near_depth"] = arguments.near
+    slots = max(1 << 14, 8 * settings["features"])
+    local, window = 1 << 13, 1 << 12
+    if isinstance(sequence.rig, ft.MultiRig):  # of all cameras
+        slots, local, window = max(1 << 15, slots), 12288, 12288
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the calibration, which are printed
         odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
                                threads=arguments.threads, loops=arguments.loops, measure_stages=measure_stages,
-                               map_slots=max(1 << 14, 8 * settings["features"]), **settings)
+                               map_slots=slots, local_points=local, window_points=window, **settings)
     return odometry, settings
 
 
@@ -184,13 +189,19 @@ class Run:
         self.last = pose
         return tracked
 
+    def _seen(self) -> TrackedKeypoints:
+        """Keypoints of the left camera, which is the first one of a rig."""
+        k = self._odometry.keypoints()
+        left = k["camera"] == 0
+        return cast(TrackedKeypoints, {name: column[left] for name, column in cast("dict[str, NDArray[Any]]", k).items()})
+
     def _look(self, i: int, image: NDArray[np.uint8], pose: ft.Tracking, tracked: bool) -> None:
         """Keeps points that a keyframe begins, and frames for the report."""
         begins = tracked and pose.keyframe
         sample = i in self._samples_due
         if not begins and not sample and i + 1 not in self._samples_due:
             return
-        k = self._odometry.keypoints()
+        k = self._seen()
         at = np.stack([k["x"], k["y"]], axis=1)
         if begins:
             new = (k["point"] >= 0) & ~k["matched"] & (k["depth"] > 0)
@@ -221,7 +232,7 @@ class Run:
         counts = {"keypoints": pose.keypoints, "with depth": pose.stereo_points, "inliers": pose.inliers,
                   "local map": pose.local_points}
         viewer.show(Seen(i, frame.time_ns, frame.left, tracked, pose.keyframe, pose.T_world_camera,
-                         self._odometry.keypoints(), counts, milliseconds),
+                         self._seen(), counts, milliseconds),
                     self._odometry.map() if tracked and pose.keyframe else None)
 
     def _corrected(self) -> list[tuple[int, NDArray[np.float64]]]:
@@ -245,8 +256,8 @@ class Run:
         made = self._odometry.map()
         T = last.T_world_odom if last else np.eye(4)  # the map's points are in the frame of the odometry
         scale = last.odom_scale if last else 1.0
-        rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind,
-                                                        "fisheye" if isinstance(sequence.rig, ft.FisheyePair) else "rectified")
+        pair = {ft.FisheyePair: "fisheye", ft.MultiRig: "mixed"}.get(type(sequence.rig), "rectified")
+        rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind, pair)
         trajectory = ft.Trajectory.of(self._corrected() if a.loops else self.poses)
         closed = [pose.loops_closed for *_, pose in self.records]
         tracked = [(t, T) for (t, _), T in zip(self.poses, self._odom_poses)]

@@ -107,7 +107,10 @@ def _unpacked(source: object, wanted: Wanted) -> Unpacked | None:
     if wanted.topics:
         raise RuntimeError(f"{files[0]}: no bag, and only bags have topics")
     if len(files) == 1 and paths[0].is_dir():
-        return None
+        from .videos import unpack_videos, videos_in
+
+        videos = videos_in(paths[0])
+        return unpack_videos(videos, wanted) if videos else None
     kinds = {path.suffix.lower() for path in paths}
     if len(files) <= 2 and kinds <= set(VIDEOS):
         from .videos import unpack_videos
@@ -140,10 +143,16 @@ def of_images(source: str, paths: list[Path]) -> Unpacked:
     made.what = f"{source}, images of one camera"
     for path in paths:
         (made.folder / path.name).symlink_to(path.resolve())
-    for path in parents.pop().iterdir():
-        if path.suffix.lower() in (".txt", ".yaml", ".yml", ".xml", ".json"):  # times and calibrations
-            (made.folder / path.name).symlink_to(path)
+    link_calibrations(parents.pop(), made.folder, times=True)
     return made
+
+
+def link_calibrations(source: Path, folder: Path, times: bool = False) -> None:
+    """times: files with times, too."""
+    for path in source.iterdir():
+        known = path.suffix.lower() in (".txt", ".yaml", ".yml", ".xml", ".json")
+        if known and (times or path.name not in ("times.txt", "timestamps.txt")):
+            (folder / path.name).symlink_to(path)
 
 
 def stamp_text(time_ns: int) -> str:

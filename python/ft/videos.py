@@ -7,7 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from .unpacking import Unpacked, Wanted, begin, stamp_text, write_pnm
+from .unpacking import VIDEOS, Unpacked, Wanted, begin, link_calibrations, stamp_text, write_pnm
+
+
+def videos_in(folder: Path) -> list[Path]:
+    """Of a folder with videos and no images: left and right, or the only one; empty for another folder."""
+    videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS)
+    sides = [path for side in ("left", "right") for path in videos if path.stem.lower() == side]
+    return sides if len(sides) == 2 else videos if len(videos) == 1 else []
 
 
 def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
@@ -34,6 +41,8 @@ def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
             raise RuntimeError(f"{path}: no image can be decoded: OpenCV has no decoder for it, or it is damaged")
         if doubled:
             made.warnings.append(f"{path}: {doubled} images left out: their stamps are not after those of the images before")
+    if not wanted.calibration:
+        link_calibrations(paths[0].resolve().parent, made.folder)
     return made
 
 

@@ -75,7 +75,8 @@ class Viewer:
                  truth_has_orientation: bool = True) -> None:
         self._rerun = rerun
         values = _ft.camera_values(camera, "the camera")
-        self._camera = _ft.KannalaBrandt(values) if len(values) == 8 else _ft.Pinhole(values[:4])
+        plain = _ft.KannalaBrandt(values) if len(values) == 8 else _ft.Pinhole(values[:4])
+        self._camera = camera if isinstance(camera, (_ft.RadTan, _ft.DoubleSphere)) else plain
         self._truth = truth if truth is not None and len(truth) else None
         self._oriented = truth_has_orientation
         self._poses: list[tuple[int, Floats]] = []

@@ -67,11 +67,13 @@ struct depth_image {
 /// A 4 x 4 matrix.
 using pose = std::array<double, 16>;
 
-/// A camera of a rig of several: the left one of a rectified pair or, with a baseline of 0, a
+/// A camera of a rig of several: the left one of a rectified pair, of a pair of two cameras, or a
 /// single one.
 struct rig_camera {
-  std::vector<double> camera;  ///< fx, fy, cx, cy
+  std::string model;           ///< a word of ft::camera_kind
+  std::vector<double> camera;  ///< fx, fy, cx, cy, and the model's other parameters
   double baseline = 0;
+  int right = -1;  ///< number of the right camera of its pair; -1 = none
   pose T_camera_body{};
 };
 struct rig {
@@ -95,6 +97,9 @@ inline std::size_t cameras_of(rig const& r) {
   }
   return n;
 }
+
+/// The rig as make_odometry() takes it. @throws argument_error
+ft::rig_description description_of(rig const& r);
 
 struct feature_options {
   int width = 0, height = 0;

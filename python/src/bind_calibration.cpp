@@ -2,7 +2,10 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
+
 #include "ft/cameras/check_calibration.hpp"
+#include "library/rigs.hpp"
 #include "python/src/arrays.hpp"
 #include "python/src/conversions.hpp"
 
@@ -26,7 +29,13 @@ found check(Rig const& rig, int width, int height) {
 found check_rig(rig const& r, int width, int height) {
   if (r.kind == "fisheye") { return check(fisheye_of(r), width, height); }
   if (r.kind == "distorted") { return check(distorted_of(r), width, height); }
-  if (r.kind == "multi") { return check(multi_of<ft::most_cameras>(r), width, height); }
+  if (r.kind == "multi") {
+    bool const pinholes = std::all_of(r.cameras.begin(), r.cameras.end(), [](rig_camera const& c) {
+      return c.model == "pinhole" && c.right < 0;
+    });
+    if (pinholes) { return check(multi_of<ft::most_cameras>(r), width, height); }
+    return check(ft::library::host::mixed_of<ft::most_cameras>(description_of(r)), width, height);
+  }
   if (r.kind == "monocular_fisheye") {
     ft::monocular_rig<ft::kannala_brandt<float>> rig;
     rig.camera = camera_of<ft::kannala_brandt<float>>(r.left, "fisheye");

@@ -33,6 +33,27 @@ ft::camera_description camera_of(std::vector<double> values, ft::camera_kind kin
   return c;
 }
 
+/// The camera of a rig of several.
+ft::camera_description camera_of(rig_camera const& given) {
+  using ft::camera_kind;
+  camera_kind kind = camera_kind::pinhole;
+  for (camera_kind const k :
+       {camera_kind::radtan8, camera_kind::kannala_brandt, camera_kind::double_sphere}) {
+    if (given.model == ft::name_of(k)) { kind = k; }
+  }
+  ft::camera_description c;
+  if (kind == camera_kind::double_sphere) {
+    c.kind = kind;
+    std::copy(given.camera.begin(), given.camera.end(), c.parameters);
+  } else {
+    c = camera_of(given.camera, kind, "rig's");
+  }
+  c.baseline = given.baseline;
+  c.right = given.right;
+  c.T_camera_body = to_ft(given.T_camera_body);
+  return c;
+}
+
 ft::rig_description pair_of(rig const& r, ft::rig_kind of, ft::camera_kind kind) {
   ft::rig_description rig;
   rig.kind = of;
@@ -42,6 +63,8 @@ ft::rig_description pair_of(rig const& r, ft::rig_kind of, ft::camera_kind kind)
   rig.camera[1].T_camera_body = to_ft(r.T_right_left);
   return rig;
 }
+
+}  // namespace
 
 ft::rig_description description_of(rig const& r) {
   using ft::camera_kind;
@@ -74,11 +97,7 @@ ft::rig_description description_of(rig const& r) {
     rig.kind = ft::rig_kind::multi;
     rig.cameras = static_cast<int>(cameras_of(r));
     ft::camera_description* to = rig.camera;
-    for (rig_camera const& c : r.cameras) {
-      *to = camera_of(c.camera, camera_kind::pinhole, "rig's");
-      to->baseline = c.baseline;
-      to++->T_camera_body = to_ft(c.T_camera_body);
-    }
+    for (rig_camera const& c : r.cameras) { *to++ = camera_of(c); }
     return rig;
   }
   auto const kind = r.left.size() == 4 ? camera_kind::pinhole : camera_kind::radtan8;
@@ -88,6 +107,8 @@ ft::rig_description description_of(rig const& r) {
   rig.max_depth = r.max_depth;
   return rig;
 }
+
+namespace {
 
 class bound_odometry {
 public:

@@ -22,7 +22,10 @@ rig rig_of(nb::handle given) {
   r.wanted = nb::cast<std::vector<double>>(d["wanted"]);
   for (nb::handle const h : d["cameras"]) {
     rig_camera c;
+    c.model = nb::cast<std::string>(h["model"]);
     c.camera = nb::cast<std::vector<double>>(h["camera"]);
+    nb::object const right = h["right"];
+    if (!right.is_none()) { c.right = whole(right, "right", 0); }
     c.baseline = number(h["baseline"], "baseline");
     c.T_camera_body = kept.matrix(h["T_camera_body"], "T_camera_body");
     r.cameras.push_back(c);

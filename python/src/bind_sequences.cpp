@@ -42,6 +42,23 @@ seq::camera_kind kind_named(std::string const& name) {
   throw argument_error("rig is '" + name + "', must be auto, stereo, mono or rgbd");
 }
 
+/// Of a mixed rig.
+nb::list cameras_of(seq::stereo_rig const& rig) {
+  nb::list all;
+  for (seq::rig_camera const& c : seq::rig_cameras(rig)) {
+    nb::dict d;
+    d["model"] = c.camera.model == seq::lens::radial_tangential ? "RadTan"
+                 : c.camera.model == seq::lens::kannala_brandt  ? "KannalaBrandt"
+                 : c.camera.model == seq::lens::double_sphere   ? "DoubleSphere"
+                                                                : "Pinhole";
+    d["camera"] = values_of(c.camera);
+    d["T_camera_body"] = to_numpy(plain(c.T_left_this.inverse()));
+    d["right"] = c.right < 0 ? nb::object(nb::none()) : nb::object(nb::int_(c.right));
+    all.append(d);
+  }
+  return all;
+}
+
 nb::dict rig_dict(seq::sequence const& s) {
   seq::stereo_rig const& r = s.rig();
   nb::dict d;
@@ -54,6 +71,7 @@ nb::dict rig_dict(seq::sequence const& s) {
   d["depth_unit"] = s.depth_unit();
   d["width"] = r.left.width;
   d["height"] = r.left.height;
+  d["cameras"] = s.mixed() ? cameras_of(r) : nb::list();
   return d;
 }
 
@@ -133,12 +151,16 @@ seq::sequence opened(std::string const& folder, nb::dict const& options) {
   return seq::sequence::open(folder, o);
 }
 
-/// The images of a frame: left and right, one, or one and its depths.
+/// The images of a frame: those of a rig in its order, left and right, one, or one and its depths.
 nb::tuple images_of(seq::sequence const& s, seq::stereo_frame f) {
   nb::object const left = array_of(std::move(f.left));
   if (s.kind() == seq::camera_kind::mono) { return nb::make_tuple(left); }
   if (s.kind() == seq::camera_kind::stereo) {
-    return nb::make_tuple(left, array_of(std::move(f.right)));
+    nb::list all;
+    all.append(left);
+    all.append(array_of(std::move(f.right)));
+    for (seq::image& more : f.more) { all.append(array_of(std::move(more))); }
+    return nb::tuple(all);
   }
   auto const h = static_cast<std::size_t>(f.depth.height);
   auto const w = static_cast<std::size_t>(f.depth.width);

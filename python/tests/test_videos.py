@@ -56,8 +56,14 @@ def test_one_video_is_one_camera(videos, tmp_path):
     (tmp_path / "camera.txt").write_text(f"{F} {F} {CX} {CY}\n")
     sequence = ft.read_sequence(videos / "left.avi", calibration=tmp_path / "camera.txt", max_frames=4)
     assert isinstance(sequence.rig, ft.MonocularCamera) and len(sequence) == 4
+    lone = tmp_path / "lone" / "left.avi"
+    lone.parent.mkdir()
+    lone.write_bytes((videos / "left.avi").read_bytes())
     with pytest.raises(RuntimeError, match="left.avi: holds no calibration; accepted are"):
-        ft.read_sequence(videos / "left.avi")
+        ft.read_sequence(lone)
+    (lone.parent / "camera.txt").write_text(f"{F} {F} {CX} {CY}\n")  # found beside the video
+    assert isinstance(ft.read_sequence(lone, max_frames=2).rig, ft.MonocularCamera)
+    assert ft.read_sequence(videos, max_frames=2).kind == "stereo"
     with pytest.raises(RuntimeError, match="a pair is two videos"):
         ft.read_sequence(videos / "left.avi", rig="stereo")
     (tmp_path / "damaged.mp4").write_bytes(b"no video")

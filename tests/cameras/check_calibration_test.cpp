@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "ft/cameras/kannala_brandt.hpp"
+#include "ft/cameras/mixed_rig.hpp"
 #include "ft/cameras/radtan.hpp"
 #include "ft/cameras/unified.hpp"
 
@@ -187,6 +188,26 @@ TEST(CheckCalibration, RotationsOfPairs) {
   EXPECT_EQ(words(several, 1241, 376), "refused");
   several.of[0].T_cb.t.x = infinity;
   EXPECT_EQ(words(several, 1241, 376), "not_finite");
+  several.of[0] = {kitti(), -0.5, ft::pose::identity()};
+  EXPECT_EQ(words(several, 1241, 376), "refused");
+}
+
+TEST(CheckCalibration, PairsOfMixedRigs) {
+  auto const mounted = [](float x) {
+    return ft::mixed_rig_camera::single(ft::any_camera<float>::of(tumvi()), beside(x));
+  };
+  ft::mixed_rig<2> rig{{mounted(0), mounted(0.1f)}};
+  ft::pair_up(rig, 0, 1);
+  EXPECT_EQ(words(rig, 512, 512), "");
+  rig.of[1].T_cb.t.x = -0.2f;
+  EXPECT_EQ(words(rig, 512, 512), "refused");
+  EXPECT_TRUE(says(rig, "call pair_up() when T_cb is set", 512, 512));
+  ft::pair_up(rig, 0, 1);
+  EXPECT_EQ(words(rig, 512, 512), "");
+  rig.of[1].left = -1;
+  EXPECT_TRUE(says(rig, "do not name each other as a pair", 512, 512));
+  rig.of[0].camera.fx = nan;  // told once
+  EXPECT_EQ(words(rig, 512, 512), "not_finite");
 }
 
 TEST(CheckCalibration, ScalesOfDepth) {

@@ -49,6 +49,7 @@ TEST(image_raw, pgm_of_any_range_is_scaled_to_8_bits) {
             (pixels{255, 18}));
   EXPECT_EQ(read("P5 4 1 1023\n" + text_of({3, 255, 2, 0, 0, 0, 255, 255})).pixels,
             (pixels{255, 128, 0, 255}));  // 1023, 512, 0, beyond
+  EXPECT_EQ(read("P5\r\n# Windows\r\n2 1\r\n255\r\n" + text_of({10, 13})).pixels, (pixels{10, 13}));
   EXPECT_EQ(read("P5 3 1 15\n" + text_of({15, 0, 5})).pixels, (pixels{255, 0, 85}));
   EXPECT_EQ(read("P6 2 1 255\n" + text_of({10, 20, 30, 255, 255, 255})).pixels,
             (pixels{seq::grey_of(10, 20, 30), 255}));

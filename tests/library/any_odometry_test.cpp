@@ -366,6 +366,8 @@ TEST(rig_description, fills_a_mixed_rig) {
   auto wrong = rig;
   wrong.camera[0].right = 4;
   refused(wrong, "right camera of camera 0 is 4, must be below 4");
+  wrong.camera[0].right = -2;
+  refused(wrong, "right camera of camera 0 is -2, must be below 4, or -1 for none");
   wrong = rig;
   wrong.camera[1].right = 2;  // of two left ones
   wrong.camera[1].baseline = 0;

@@ -207,6 +207,7 @@ TEST(mixed_rig, refuses_what_is_no_rig) {
   refused([](rig_type& r) { r.of[2].T_cb.R.m[0] = 2; });
   refused([](rig_type& r) { r.of[2].camera.kind = 1; });
   refused([](rig_type& r) { r.of[1] = camera::none(); });
+  refused([](rig_type& r) { r.of[1].T_cb.t.x += 0.01f; });  // after pair_up()
   rig_type rig = whole();
   EXPECT_THROW(ft::pair_up(rig, 0, 0), ft::bad_argument);
   EXPECT_THROW(ft::pair_up(rig, 0, cameras), ft::bad_argument);

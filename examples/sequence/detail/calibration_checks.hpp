@@ -3,6 +3,7 @@
 /// Not API.
 #pragma once
 
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -65,6 +66,18 @@ void check_baseline(stereo_rig const& rig, std::string const& path, std::string 
 
 /// Makes the rig that of its left camera alone: a virtual right one for depth images, else none.
 void set_one_camera(stereo_rig& rig, camera_kind kind);
+
+/// Adds camera k, beside the pair, to a rig, and checks it. @param add appends it, or throws
+/// @return whether it is there: else a warning says why it is not taken
+bool added_camera(stereo_rig& rig, int k, std::string const& source,
+                  std::function<void()> const& add, std::vector<std::string>& warnings);
+
+/// Whether a pair is not to be rectified, or has cameras beside it. See sequence::mixed().
+bool is_mixed(stereo_rig const& rig);
+/// @throws seq::error naming both sizes where they differ, and the lens that no rig has; without
+/// any
+///   pair
+void check_mixed(stereo_rig const& rig, std::string const& source);
 
 /// @param name of the camera, for the message @throws seq::error
 void check_camera(camera_intrinsics const& camera, std::string const& name,

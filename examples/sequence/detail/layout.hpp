@@ -17,7 +17,20 @@ namespace seq::detail {
 struct frame_files {
   std::int64_t time_ns = 0;
   std::string left;
-  std::string second;  ///< the right image or the depth image; empty for one camera
+  std::string second;             ///< the right image or the depth image; empty for one camera
+  std::vector<std::string> more;  ///< of the cameras beside the pair
+};
+
+/// A line of a list of images.
+struct listed_image {
+  std::int64_t time_ns = 0;
+  std::string file;  ///< where it is; empty where there is no such file
+};
+
+/// The images of a camera beside the pair, sorted by time.
+struct camera_images {
+  std::string name;  ///< such as cam2
+  std::vector<listed_image> images;
 };
 
 struct layout_of_files {
@@ -28,6 +41,7 @@ struct layout_of_files {
   camera_kind kind = camera_kind::stereo;
   std::vector<std::int64_t> times;  ///< of all frames, for poses.txt
   std::vector<frame_files> frames;  ///< sorted by time
+  std::vector<camera_images> more;  ///< cameras beside the pair, cam2 ...
   unpaired_images unpaired;
   std::string stamps_from;  ///< for people: which file, or the names
   std::vector<std::string> warnings;
@@ -55,12 +69,6 @@ std::string find_image(std::filesystem::path const& folder, std::string const& n
 /// Whether a file's name ends as that of an image.
 bool has_image_extension(std::filesystem::path const& file);
 
-/// A line of a list of images.
-struct listed_image {
-  std::int64_t time_ns = 0;
-  std::string file;  ///< where it is; empty where there is no such file
-};
-
 /// Two lists of images, each sorted by time.
 struct two_lists {
   std::vector<listed_image> left, second;
@@ -69,6 +77,11 @@ struct two_lists {
 
 /// Pairs the images of two lists by the nearest time. @throws seq::error without any pair
 void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& layout);
+
+/// Adds the images of the cameras beside the pair to the frames, those that are nearest to the left
+/// one; frames without one are left out. A camera without images, or without a calibration, leaves
+/// the rig, and those after it. @throws seq::error without any frame
+void add_cameras(calibration& calib, open_options const& options, layout_of_files& layout);
 
 /// The frames of one camera: the images whose files are there. @param path of the list
 /// @throws seq::error without any

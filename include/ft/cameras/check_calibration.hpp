@@ -152,6 +152,13 @@ public:
       return true;
     }
   }
+  /// Whether nothing was found that check() refuses.
+  bool usable() const {
+    return std::none_of(found.begin(), found.end(), [](calibration_finding const& f) {
+      return f.warning == calibration_warning::refused ||
+             f.warning == calibration_warning::not_finite;
+    });
+  }
   bool finite_motion(std::string const& which, pose const& T) {
     bool usable = true;
     for (float const v : T.R.m) { usable = usable && std::isfinite(v); }
@@ -288,6 +295,9 @@ void check_rig(calibration_check& c, multi_rig<N, Camera> const& rig, int, int) 
                                                     " m from the body, above " + brief(farthest) +
                                                     " m: are these millimetres?");
     }
+  }
+  if (c.usable()) {
+    c.refused([&] { rig.check(); }, "the rig");
   }
 }
 

@@ -98,7 +98,14 @@ struct mixed_rig_camera {
     detail::require_range("max_depth", max_depth, min_depth,
                           std::numeric_limits<float>::infinity());
   }
-  /// @throws bad_argument if a camera's right one is no other camera, or has another left one
+  /// The distance of two cameras, metres.
+  static double distance(mixed_rig_camera const& a, mixed_rig_camera const& b) {
+    vec3<double> const apart =
+        a.T_cb.template cast<double>().centre() - b.T_cb.template cast<double>().centre();
+    return std::sqrt(dot(apart, apart));
+  }
+  /// @throws bad_argument if a camera's right one is no other camera, has another left one, or was
+  ///   moved since they became a pair
   static void check_pairs(mixed_rig_camera const* of, int cameras) {
     for (int c = 0; c < cameras; ++c) {
       detail::require_range("right camera", of[c].right, -1, cameras - 1);
@@ -111,6 +118,13 @@ struct mixed_rig_camera {
         throw bad_argument("ft: camera " + std::to_string(c) +
                            " of a mixed rig and its other one do not name each other as a pair; "
                            "pair_up() makes one");
+      }
+      double const apart = r < 0 ? of[c].baseline : distance(of[c], of[r]);
+      if (!(std::abs(of[c].baseline - apart) <= 1e-4 * apart)) {
+        throw bad_argument("ft: camera " + std::to_string(c) +
+                           " of a mixed rig has a baseline of " + std::to_string(of[c].baseline) +
+                           " m, but is " + std::to_string(apart) +
+                           " m from its right one: call pair_up() when T_cb is set");
       }
     }
   }
@@ -130,9 +144,7 @@ void pair_up(mixed_rig<N>& rig, int left, int right) {
   detail::require(left != right, "a pair is of two cameras");
   rig.of[left].right = right;
   rig.of[right].left = left;
-  vec3<double> const apart = rig.of[left].T_cb.template cast<double>().centre() -
-                             rig.of[right].T_cb.template cast<double>().centre();
-  rig.of[left].baseline = std::sqrt(dot(apart, apart));
+  rig.of[left].baseline = mixed_rig_camera::distance(rig.of[left], rig.of[right]);
   detail::require(rig.of[left].baseline > 1e-6, "the cameras of a pair are in one place");
 }
 

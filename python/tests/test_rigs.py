@@ -70,6 +70,21 @@ def test_a_single_camera_finds_the_points_of_a_pair(walk):
     assert np.all(keypoints["depth"][single] < 0) and np.sum(keypoints["matched"] & single) > 30
 
 
+def test_a_pair_of_two_cameras_of_different_models(walk):
+    T = np.eye(4)
+    T[0, 3] = -BASELINE
+    rig = ft.MultiRig([ft.RigCamera(CAMERA, right=1), ft.RigCamera(ft.RadTan(CAMERA), T_camera_body=T)])
+    assert not ft.check_calibration(rig, WIDTH, HEIGHT)
+    odometry = odometry_of(rig)
+    for i in range(5):
+        pose = odometry.track(*walk.frame(i))
+        assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+    for right, text in ((2, "right camera of camera 0 is 2, must be below 2"), (-1, "right is -1, must be in"), (0, "two cameras")):
+        rig.cameras[0].right = right
+        with pytest.raises(ValueError, match=text):
+            odometry_of(rig)
+
+
 def test_five_cameras_and_batches(walk):
     offsets = [(0, 0), ASIDE, ABOVE, (-0.1, 0.05), (0.1, 0.1)]
     rig = ft.MultiRig([mounted(o, BASELINE if k < 2 else 0) for k, o in enumerate(offsets)])

@@ -14,7 +14,6 @@
 
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/image_io.hpp"
-#include "examples/sequence/rectify.hpp"
 #include "tests/end_to_end/process.hpp"
 #include "tests/end_to_end/track_support.hpp"
 #include "tests/support/sequence.hpp"
@@ -142,66 +141,6 @@ TEST(DepthCamera, OptionsThatDoNotFit) {
   EXPECT_TRUE(complained_of(track(generated(few), out, {"--max-depth", "4"}), "--max-depth"));
   fs::remove(folder.path("camera.txt"));
   EXPECT_TRUE(complained_of(track(folder.path(), out), "--calibration"));
-}
-
-// ---- rigs
-
-/// A pinhole, a fisheye 0.1 m beside it and a pinhole 0.05 m below, before the wall of
-/// write_wall().
-void write_rig(temp_folder const& folder) {
-  std::mt19937 bits(7);
-  std::vector<std::uint8_t> squares(800 * 600);
-  for (auto& grey : squares) { grey = static_cast<std::uint8_t>(bits() >> 24); }
-  std::string chain;
-  for (int k = 0; k < 3; ++k) {
-    seq::camera_intrinsics camera;
-    camera.width = 320;
-    camera.height = 240;
-    camera.fx = camera.fy = 200;
-    camera.cx = 160;
-    camera.cy = 120;
-    if (k == 1) {
-      camera.model = seq::lens::kannala_brandt;
-      camera.distortion = {0.01, -0.02, 0.01, 0};
-    }
-    seq::lens_projection const lens(camera);
-    std::string const name = "cam" + std::to_string(k);
-    fs::create_directories(folder.path(name));
-    for (int i = 0; i < plane_frames; ++i) {
-      seq::image grey = plain(0, camera.width, camera.height);
-      for (int y = 0; y < camera.height; ++y) {
-        for (int x = 0; x < camera.width; ++x) {
-          Eigen::Vector2d const at =
-              2.0 * lens.unproject({x, y}).pixel +
-              Eigen::Vector2d(0.02 * i + (k == 1 ? 0.1 : 0), k == 2 ? 0.05 : 0);
-          auto const square = (at / 0.02 + Eigen::Vector2d(400, 300)).array().floor().cast<int>();
-          grey.row(y)[x] = squares[static_cast<std::size_t>(square[1] * 800 + square[0])];
-        }
-      }
-      seq::write_png(folder.path(name + "/" + std::to_string(100 + 0.05 * i) + ".png"), grey);
-    }
-    chain += name + ":\n  camera_model: pinhole\n  intrinsics: [200, 200, 160, 120]\n" +
-             "  resolution: [320, 240]\n  distortion_model: " + (k == 1 ? "equidistant" : "none") +
-             "\n  distortion_coeffs: " + (k == 1 ? "[0.01, -0.02, 0.01, 0]" : "[]") + "\n";
-    if (k > 0) {
-      chain += std::string("  T_cn_cnm1: [[1, 0, 0, ") + (k == 1 ? "-0.1" : "0.1") +
-               "], [0, 1, 0, " + (k == 1 ? "0" : "-0.05") + "], [0, 0, 1, 0], [0, 0, 0, 1]]\n";
-    }
-  }
-  folder.write("camchain.yaml", chain);
-}
-
-TEST(Rigs, CamerasOfDifferentLensesHaveOnePath) {
-  temp_folder const folder;
-  write_rig(folder);
-  outcome const o = track(folder.path(), folder.path("out"));
-  ASSERT_TRUE(succeeded(o));
-  EXPECT_TRUE(contains(o.out, "3 cameras, 320x240; cam0 pinhole and cam1 Kannala-Brandt, 0.1 m"));
-  json const summary = summary_of(folder);
-  EXPECT_EQ(summary.at("tracked"), plane_frames);
-  EXPECT_EQ(summary.at("options").at("rig"), "mixed");
-  EXPECT_EQ(summary.at("warnings").get<strings>(), strings{});
-  EXPECT_NEAR(last_x(folder), 0.02 * (plane_frames - 1), 0.003);
 }
 
 // ---- stamps

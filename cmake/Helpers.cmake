@@ -13,7 +13,7 @@ if(FT_HAS_CUDA AND FT_FAST_COMPILE)
 endif()
 
 # FT_FAST_COMPILE: CUDA programs that are compiled and not run have PTX of the newest architecture and no
-# optimisations. One with OPTIMIZED_DEVICE_CODE has the machine code, optimised as users have it.
+# optimisations. One with OPTIMIZED_DEVICE_CODE has the machine code, optimised but for what takes nvcc long.
 function(ft_set_fast_device_code target)
   list(GET CMAKE_CUDA_ARCHITECTURES -1 newest)
   set(architectures ${newest}-virtual)

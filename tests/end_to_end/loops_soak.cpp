@@ -102,6 +102,7 @@ lap_facts go_round(Odometry& odometry, std::vector<image> const& left,
                    std::int64_t& time) {
   auto const view = [](image const& i) { return ft::gray_view{i.data(), width, height, width}; };
   lap_facts facts;
+  facts.wall_ms.reserve(lap);
   double const begin = cpu_now_ms();
   for (int f = 0; f < lap; ++f) {
     auto const i = static_cast<std::size_t>(std::min(f, lap - f));  // the way back: the same images
@@ -157,7 +158,8 @@ bool run(Exec const& exec, int frames, std::chrono::milliseconds distance) {
       frames, tracked, (end.resident - warm.resident) / 1024, (end.heap - warm.heap) / 1024,
       (end.device - warm.device) / 1024, flat ? "flat" : "MEMORY GROWS");
   // In a short run the limit of keyframes is not reached before the second quarter.
-  bool const steady = frames < 6000 || last.cpu_ms < 1.3 * second.cpu_ms;
+  // Where nothing grows quarters of 5,000 frames differ by a third: bench/lab_notes.md.
+  bool const steady = frames < 6000 || last.cpu_ms < 1.5 * second.cpu_ms;
   if (!steady) { std::printf("FRAMES TAKE LONGER\n"); }
   bool const bounded = last.error_m < 0.05 && last.error_m < 1.5 * second.error_m;
   if (!bounded) { std::printf("THE ERROR GROWS\n"); }

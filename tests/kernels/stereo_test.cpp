@@ -54,6 +54,7 @@ struct keypoint {
 struct match {
   float right_x, depth;
   int score;
+  int rival = 0;
 };
 
 inline float product(float a, float b) {
@@ -198,6 +199,7 @@ protected:
     auto const x = test::column<ft::field::right_x>(exec, out.view());
     auto const depth = test::column<ft::field::depth>(exec, out.view());
     auto const score = test::column<ft::field::score>(exec, out.view());
+    auto const rival = test::column<ft::field::rival>(exec, out.view());
     auto const count = test::from_exec(exec, static_cast<int const*>(out.view().count),
                                        static_cast<std::size_t>(pairs));
     std::vector<std::vector<match>> all(static_cast<std::size_t>(pairs));
@@ -206,7 +208,7 @@ protected:
         std::size_t const at =
             p * static_cast<std::size_t>(kp.capacity) + static_cast<std::size_t>(i);
         if (i < count[p]) {
-          all[p].push_back({x[at], depth[at], score[at]});
+          all[p].push_back({x[at], depth[at], score[at], depth[at] > 0 ? rival[at] : 0});
         } else {
           EXPECT_EQ(x[at], -1) << "entries without a keypoint are no match";
           EXPECT_EQ(depth[at], -1);
@@ -364,6 +366,36 @@ TYPED_TEST(stereo_unit, descriptors_too_far_apart_do_not_match) {
     auto const all = this->run(orb.pyramid(), kp.view());
     ASSERT_EQ(all[0].size(), 1u);
     EXPECT_EQ(all[0][0].depth > 0, bits < 75) << bits;
+  }
+}
+
+TYPED_TEST(stereo_unit, rows_that_repeat_are_told) {
+  auto views = shifted_pair(10, 71);
+  for (auto& p : views.second) { p = static_cast<std::uint8_t>(std::min(255, p + 3)); }
+  auto orb = this->extractor(1);
+  this->extract(orb, {views.first, views.second});
+  keypoint left{150, 100, 0, {{1, 2, 3, 4, 5, 6, 7, 8}}};
+  keypoint right = left;
+  right.x = 140;
+  right.orb.words[0] ^= 7u;  // 3 bits
+  struct row {
+    float x, y;
+    int octave, bits;
+    bool rival;
+  };
+  for (row const& r : {row{120, 100, 0, 10, true}, row{120, 100, 0, 11, false},  // 7 bits more, 8
+                       row{129, 100, 0, 3, true}, row{130, 100, 0, 3, false},    // 11 pixels, 10
+                       row{120, 100, 2, 3, false}, row{120, 110, 0, 3, false},   // not of its rows
+                       row{160, 100, 0, 3, false}}) {                            // behind infinity
+    keypoint other = left;
+    other.x = r.x;
+    other.y = r.y;
+    other.octave = r.octave;
+    for (int b = 0; b < r.bits; ++b) { other.orb.words[1 + b / 32] ^= 1u << (b % 32); }
+    auto const kp = this->upload({left}, {right, other}, 4);
+    auto const all = this->run(orb.pyramid(), kp.view());
+    ASSERT_GT(all[0][0].depth, 0);
+    EXPECT_EQ(all[0][0].rival, r.rival ? 1 : 0) << r.x << " " << r.y << " " << r.bits;
   }
 }
 

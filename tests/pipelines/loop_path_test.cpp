@@ -368,6 +368,25 @@ TEST(LoopPath, NoLoopIsRefusedHoweverOftenItIsThinned) {
   }
 }
 
+TEST(LoopPath, ThinnedOutAMapsFirstKeyframeTakesNoStepOfAnotherMap) {
+  loop_path path = drifting_lap(60, 0);
+  for (int i = 12; i < path.size(); ++i) {
+    auto& k = path.keyframes[static_cast<std::size_t>(i)];
+    k.map = k.part = 2;
+    if (i == 12) { k.step = 0; }
+  }
+  std::vector<int> freed;
+  path.thin([&](int row) { freed.push_back(row); });
+  ASSERT_EQ(std::count(freed.begin(), freed.end(), 11), 1) << "the last of the first map";
+  for (int i = 1; i < path.size(); ++i) {
+    if (path.at(i).map == path.at(i - 1).map) { continue; }
+    EXPECT_EQ(path.at(i).row, 12);
+    EXPECT_EQ(path.at(i).step, 0);
+    return;
+  }
+  FAIL() << "one map is left";
+}
+
 TEST(LoopPath, MapsOfOneKeyframeEachLeaveFromTheOldestOn) {
   loop_path path = drifting_lap(40, 0);
   for (int i = 0; i < 40; ++i) { path.keyframes[at(i)].map = path.keyframes[at(i)].part = i + 1; }

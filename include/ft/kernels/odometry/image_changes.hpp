@@ -76,6 +76,7 @@ struct image_slopes {
   static constexpr int near = 1, far = 4;  ///< pixels to either side
 
   FT_HOST_DEVICE void add(image_view<std::uint8_t> const& image, int x, int y) {
+    if (min_of(image.width, image.height) <= 2 * far) { return; }
     x = clamp(x, far, image.width - 1 - far);
     y = clamp(y, far, image.height - 1 - far);
     auto const squared = [&](int dx, int dy) {

@@ -302,18 +302,19 @@ private:
   }
   template <typename Freed>
   void move_keyframes(Freed const& freed) {
-    int kept = 0, steps = 0;
-    double step = 0;
+    int kept = 0, steps = 0, map = -1;
+    double step = 0;  ///< in the unit of `map`
     for (int i = 0; i < size(); ++i) {
       if (!stays(i)) {
         freed(at(i).row);
         steps = number(i) < 0 ? 0 : at(i).steps;
         step = number(i) < 0 ? 0 : at(i).step;
+        map = at(i).map;
         continue;
       }
       path_keyframe k = at(i);
       k.steps += steps;
-      k.step += step;
+      if (k.map == map) { k.step += step; }
       steps = 0;
       step = 0;
       keyframes[static_cast<std::size_t>(kept++)] = k;

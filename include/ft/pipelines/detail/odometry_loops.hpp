@@ -98,8 +98,10 @@ public:
                           keyframe_task<searched_rig>::depth_cameras, path_.scaled},
                          *from));
     // An IMU that has told the scale has told gravity, too.
-    require(!awaits_scale_ || saved->keyframes.empty() || dot(saved->gravity, saved->gravity) > 0,
-            "the map is not loaded: it was made without an IMU, so its scale is not known");
+    if (awaits_scale_ && !saved->keyframes.empty() && !(dot(saved->gravity, saved->gravity) > 0)) {
+      throw error(
+          "ft: the map file has no gravity: it was made without an IMU, its scale is not known");
+    }
     saved_ = std::move(saved);
   }
   void forget(Exec const& exec, int, tracking& last) override {

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "ft/containers/image_pyramid.hpp"
@@ -31,7 +32,11 @@ public:
       : of_(of), name_(name), b_(b), limits_(limits) {}
 
   void all() const {
-    if (of_.count < 0) { refuse("count is " + std::to_string(of_.count) + ", must be 0 or more"); }
+    constexpr int most = 1 << 24;
+    if (of_.count < 0 || of_.count > most) {
+      refuse("count is " + std::to_string(of_.count) + ", must be in [0, " + std::to_string(most) +
+             "]");
+    }
     arrays();
     for (int i = 0; !of_.on_device && i < of_.count; ++i) { keypoint(i); }
   }
@@ -144,11 +149,12 @@ public:
       right.all();
       right.no_partners();
     }
-    require_reachable(given.left);
-    if (images_ > 1 && !has_partners) { require_reachable(given.right); }
-    write(images_ * b, given.left);
+    image_features const left_there = reachable(given.left);
+    image_features const right_there =
+        images_ == 1 || has_partners ? image_features{} : reachable(given.right);
+    write(images_ * b, left_there);
     if (!given.left.on_device) { write_partners(b, given.left); }
-    if (images_ > 1) { write(images_ * b + 1, has_partners ? image_features{} : given.right); }
+    if (images_ > 1) { write(images_ * b + 1, right_there); }
   }
 
 private:
@@ -157,15 +163,30 @@ private:
     image_features* given;
   };
 
-  /// Arrays in executor memory.
-  static void require_reachable(image_features const& from) {
-    void const* const arrays[] = {from.positions, from.descriptors, from.octave,  from.deviation,
-                                  from.angle,     from.score,       from.right_x, from.depth};
-    for (void const* const array : arrays) {
-      require(!from.on_device || from.count == 0 || array == nullptr ||
-                  Exec::host_address(array) != nullptr,
-              "image_features::on_device: an array is not in memory that the device reads");
+  /// @param array replaced by the address through which stages read it
+  template <typename T>
+  static void reach(T const*& array) {
+    if (array == nullptr) { return; }
+    if constexpr (!std::is_void<T>::value) {
+      require(reinterpret_cast<std::uintptr_t>(array) % alignof(T) == 0,
+              "image_features::on_device: an array is not aligned as its numbers are");
     }
+    array = static_cast<T const*>(Exec::host_address(array));
+    require(array != nullptr,
+            "image_features::on_device: an array is not in memory that the device reads");
+  }
+  /// The same with the addresses through which stages read arrays in executor memory.
+  static image_features reachable(image_features from) {
+    if (!from.on_device || from.count == 0) { return from; }
+    reach(from.positions);
+    reach(from.descriptors);
+    reach(from.octave);
+    reach(from.deviation);
+    reach(from.angle);
+    reach(from.score);
+    reach(from.right_x);
+    reach(from.depth);
+    return from;
   }
   /// The indices of those that are taken, ascending, in best_. @return their number
   int choose(image_features const& from) {

@@ -39,7 +39,7 @@ calibration read_file(std::string const& path, int width, int height, int left_c
     case calibration_format::kitti:
       return read_kitti_calibration(path, width, height, left_camera, kind);
     case calibration_format::camera_txt:
-      if (kind == camera_kind::stereo) {
+      if (is_pair(kind)) {
         throw error(path + ": numbers of one camera, which do not say where the right one is");
       }
       return read_camera_txt(path, width, height, kind);
@@ -79,9 +79,7 @@ calibration read_calibration(std::string const& path, int width, int height, int
   std::string const kitti = (folder / "calib.txt").string();
   std::string const tum = (folder / "camera.txt").string();
   if (detail::is_file(kitti)) { return read_file(kitti, width, height, left_camera, kind); }
-  if (kind != camera_kind::stereo && detail::is_file(tum)) {
-    return read_camera_txt(tum, width, height, kind);
-  }
+  if (!is_pair(kind) && detail::is_file(tum)) { return read_camera_txt(tum, width, height, kind); }
   std::string const other = find_calibration_file(path);
   if (!other.empty()) { return read_file(other, width, height, left_camera, kind); }
   if (!mav0.empty()) { return read_euroc_calibration(mav0, kind); }  // says what is missing

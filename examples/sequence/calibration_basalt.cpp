@@ -100,7 +100,7 @@ void warn_of_biases(yaml_file const& file, std::vector<std::string>& warnings) {
 calibration read_basalt_calibration(std::string const& path, camera_kind kind) {
   yaml_file const whole(path);
   yaml_file const file = whole.part("value0");
-  bool const pair = kind == camera_kind::stereo;
+  bool const pair = is_pair(kind);
   int rows = 0;
   int cols = 0;
   std::vector<double> const sizes = file.matrix("resolution", rows, cols);

@@ -150,7 +150,7 @@ bool stereo_rig::rectified() const {
 
 void check_rig(stereo_rig const& rig, std::string const& source, camera_kind kind) {
   using namespace detail;
-  bool const pair = kind == camera_kind::stereo;
+  bool const pair = is_pair(kind);
   check_camera(rig.left, pair ? "left camera" : "camera", source);
   if (pair) { check_camera(rig.right, "right camera", source); }
   if (rig.left.width != rig.right.width || rig.left.height != rig.right.height) {

@@ -152,7 +152,7 @@ calibration read_colmap_calibration(std::string const& path, camera_kind kind) {
   }
   if (cameras.empty()) { throw error(path + ": has no camera"); }
   calibration result;
-  if (kind == camera_kind::stereo) {
+  if (is_pair(kind)) {
     std::string const rigs = (std::filesystem::path(path).parent_path() / "rigs.txt").string();
     if (!is_file(rigs)) {
       throw error(path +

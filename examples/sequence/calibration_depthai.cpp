@@ -191,12 +191,12 @@ calibration read(json const& file, std::string const& path, int width, int heigh
   bool const alone = kind == camera_kind::mono && left == no_socket;
   int const first = colour || alone ? colour_socket : left;
   calibration result;
-  if (kind == camera_kind::stereo && (left == no_socket || right == no_socket)) {
+  if (is_pair(kind) && (left == no_socket || right == no_socket)) {
     throw error(path + ": stereoRectificationData names no pair");
   }
   result.rig.left = read_socket(all, first, path).camera;
   fit(result.rig.left, width, height, path, result.warnings);
-  if (kind == camera_kind::stereo) {
+  if (is_pair(kind)) {
     result.rig.right = read_socket(all, right, path).camera;
     std::vector<std::string> same;
     fit(result.rig.right, width, height, path, same);

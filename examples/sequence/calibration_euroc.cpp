@@ -83,7 +83,7 @@ calibration read_euroc_calibration(std::string const& mav0, camera_kind kind) {
   calibration result;
   result.has_body_frame = true;
   result.rig.left = read_sensor(left_path, result.rig.T_body_left, result.rig.fps, result.warnings);
-  if (kind != camera_kind::stereo) {
+  if (!is_pair(kind)) {
     set_one_camera(result.rig, kind);
     check_rig(result.rig, left_path, kind);
     return result;
@@ -96,6 +96,11 @@ calibration read_euroc_calibration(std::string const& mav0, camera_kind kind) {
     std::string const path =
         (fs::path(mav0) / ("cam" + std::to_string(k)) / "sensor.yaml").string();
     if (!is_file(path)) { break; }
+    if (kind == camera_kind::stereo) {
+      result.warnings.push_back(mav0 +
+                                ": cameras after cam1 are not taken: --rig mixed takes them");
+      break;
+    }
     auto const add = [&] {
       mounted_camera camera;
       Eigen::Isometry3d T_body_this;

@@ -180,7 +180,7 @@ calibration read_kalibr_calibration(std::string const& path, camera_kind kind) {
   yaml_file const left = file.part("cam0");
   rig.left = read_kalibr_camera(left);
   result.has_body_frame = read_mount(left, rig.T_body_left);
-  if (kind == camera_kind::stereo) {
+  if (is_pair(kind)) {
     if (!file.is_map("cam1")) {
       throw error(path + ": cam1 is missing: not the calibration of a stereo pair");
     }
@@ -197,9 +197,12 @@ calibration read_kalibr_calibration(std::string const& path, camera_kind kind) {
   }
   std::string const imu = find_imu_file(path);
   if (!imu.empty() && result.has_body_frame) { result.imu = read_kalibr_imu(imu, result.warnings); }
-  if (kind == camera_kind::stereo) { read_more(file, result); }
+  if (kind == camera_kind::mixed) { read_more(file, result); }
   check_rig(rig, path, kind);
   warn_of_rest(left, result.warnings);
+  if (kind != camera_kind::mixed && file.has("cam2")) {
+    result.warnings.push_back(path + ": cameras after cam1 are not taken: --rig mixed takes them");
+  }
   return result;
 }
 

@@ -44,8 +44,7 @@ camera_intrinsics from_projection(projection_matrix const& p, std::string const&
 calibration read_kitti_calibration(std::string const& path, int width, int height, int left_camera,
                                    camera_kind kind) {
   std::string const left = "P" + std::to_string(left_camera);
-  std::string const right =
-      kind == camera_kind::stereo ? "P" + std::to_string(left_camera + 1) : left;
+  std::string const right = is_pair(kind) ? "P" + std::to_string(left_camera + 1) : left;
   std::map<std::string, projection_matrix> found;
   for (detail::text_line const& line : detail::read_lines(path)) {
     std::size_t const colon = line.text.find(':');
@@ -81,7 +80,7 @@ calibration read_kitti_calibration(std::string const& path, int width, int heigh
   result.T_reference_left.translation() = -left_offset;
   result.rig.left.width = result.rig.right.width = width;
   result.rig.left.height = result.rig.right.height = height;
-  if (kind != camera_kind::stereo) { set_one_camera(result.rig, kind); }
+  if (!is_pair(kind)) { set_one_camera(result.rig, kind); }
   check_rig(result.rig, path, kind);
   return result;
 }

@@ -239,7 +239,7 @@ calibration read_opencv_calibration(std::string const& path, int width, int heig
   std::string const intrinsics = intrinsics_file(path);
   yaml_file const file(intrinsics);
   bool const of_pair = !matrix_key(file, 0).empty();
-  if (kind != camera_kind::stereo) {
+  if (!is_pair(kind)) {
     result.rig.left = read_one(file, of_pair ? 0 : -1, width, height, result.warnings);
     set_one_camera(result.rig, kind);
   } else if (!of_pair) {

@@ -110,7 +110,7 @@ void read_new_settings(yaml_file const& file, camera_kind kind, stereo_rig& rig)
     read_camera(file, "Camera1.", fisheye, rig.left);
   }
   limits const range{0, max_baseline, true};
-  if (kind != camera_kind::stereo) {
+  if (!is_pair(kind)) {
     set_one_camera(rig, kind);
     if (kind == camera_kind::rgbd && file.has("Stereo.b")) {
       rig.T_left_right.translation().x() = file.number("Stereo.b", range);
@@ -147,20 +147,20 @@ void read_old_settings(yaml_file const& file, camera_kind kind, stereo_rig& rig)
   bool const fisheye =
       is_fisheye(file, file.has("Camera.type") ? file.text("Camera.type") : "PinHole");
   bool const raw = !fisheye && file.has("LEFT.K");
-  if (raw && kind == camera_kind::stereo) { return read_raw_pair(file, rig); }
+  if (raw && is_pair(kind)) { return read_raw_pair(file, rig); }
   if (raw) {
     read_raw_camera(file, "LEFT", rig.left);
   } else {
     read_camera(file, "Camera.", fisheye, rig.left);
   }
-  if (fisheye && kind == camera_kind::stereo) {
+  if (fisheye && is_pair(kind)) {
     if (!file.has("Camera2.fx")) { fail_not_a_pair(file); }
     read_camera(file, "Camera2.", true, rig.right);
     rig.T_left_right = file.transform("Tlr");
     return;
   }
   set_one_camera(rig, kind);
-  if (kind == camera_kind::stereo || (kind == camera_kind::rgbd && file.has("Camera.bf"))) {
+  if (is_pair(kind) || (kind == camera_kind::rgbd && file.has("Camera.bf"))) {
     double const bf = file.number("Camera.bf", {0, max_focal * max_baseline, true});
     rig.T_left_right.translation().x() = bf / rig.left.fx;
   }
@@ -196,9 +196,8 @@ void warn_of_unread(yaml_file const& file, camera_kind kind, std::vector<std::st
     // The rectified cameras beside raw ones, which the rectification here chooses itself; the right
     // camera where one is enough.
     bool const beside = file.has("LEFT.K") && begins_with(key, "Camera.");
-    bool const other =
-        kind != camera_kind::stereo &&
-        (begins_with(key, "Camera2.") || begins_with(key, "RIGHT.") || key == "LEFT.R");
+    bool const other = !is_pair(kind) && (begins_with(key, "Camera2.") ||
+                                          begins_with(key, "RIGHT.") || key == "LEFT.R");
     if (beside || other) { continue; }
     for (char const* part :
          {"Camera", "Stereo.", "IMU.", "RGBD.", "LEFT.", "RIGHT.", "ORBextractor."}) {

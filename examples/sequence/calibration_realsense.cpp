@@ -213,7 +213,7 @@ calibration read_realsense_calibration(std::string const& path, int width, int h
   std::string const left = colour ? "Color" : pair + " 1";
   calibration result;
   result.rig.left = camera_of(all, left, width, height, path, result.warnings);
-  if (kind == camera_kind::stereo) {
+  if (is_pair(kind)) {
     std::string const right = pair + " 2";
     result.rig.right = camera_of(all, right, width, height, path, result.warnings);
     stated_place const* const where = place_of(all, left, right);

@@ -116,11 +116,9 @@ void add_camera(camera_images const& camera, std::int64_t most_ns, layout_of_fil
 
 void add_cameras(calibration& calib, open_options const& options, layout_of_files& layout) {
   std::vector<mounted_camera>& more = calib.rig.more;
-  bool const wanted =
-      layout.kind == camera_kind::stereo && options.rig == camera_kind::any && options.keep_fisheye;
-  std::size_t const count = wanted ? std::min(more.size(), layout.more.size()) : 0;
+  std::size_t const count = std::min(more.size(), layout.more.size());
   std::size_t const most = std::max(more.size(), layout.more.size());
-  if (wanted && count < most) {
+  if (count < most) {
     layout.warnings.push_back(
         "cam" + std::to_string(2 + count) + (count + 1 < most ? " and those after it are" : " is") +
         " not taken: it has no " + (count < more.size() ? "images" : "calibration"));

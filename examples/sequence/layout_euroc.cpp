@@ -47,7 +47,7 @@ void find_euroc_frames(layout_of_files& layout, open_options const& options) {
   if (options.rig == camera_kind::rgbd) {
     throw error(layout.root.string() + ": the EuRoC layout has no depth images");
   }
-  bool const pair = options.rig == camera_kind::stereo ||
+  bool const pair = is_pair(options.rig) ||
                     (options.rig == camera_kind::any && is_directory(camera("cam1").string()));
   layout.stamps_from = "data.csv";
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
@@ -59,7 +59,7 @@ void find_euroc_frames(layout_of_files& layout, open_options const& options) {
     lists.left_name = "cam0";
     lists.second_name = "cam1";
     pair_frames(lists, options.max_time_difference_ns.value_or(most_between_cameras_ns), layout);
-    for (int k = 2; options.rig == camera_kind::any; ++k) {
+    for (int k = 2; options.rig == camera_kind::mixed; ++k) {
       std::string const name = "cam" + std::to_string(k);
       fs::path const folder = camera(name.c_str());
       if (!is_file((folder / "data.csv").string())) { break; }

@@ -186,6 +186,7 @@ std::vector<listed_image> by_name(std::vector<named_image> const& images, fs::pa
                                        [](named_image const& i) { return i.number.empty(); });
   constexpr std::int64_t least_step = 5;  // of times; frames are counted one by one, or nearly so
   bool const counted = counters.size() == images.size() && median_step(counters) < least_step;
+  if (images.empty()) { throw error(folder.string() + ": no images"); }
   if (any_without || counted) {
     throw error(folder.string() + ": the file names are no times (" +
                 fs::path(images.front().file).filename().string() +
@@ -248,6 +249,13 @@ std::vector<std::int64_t> frame_times(std::vector<std::int64_t> const& numbers,
   return times;
 }
 
+[[noreturn]] void refuse_order(layout_of_files const& layout, std::size_t left, std::size_t others,
+                               std::string const& name) {
+  throw error(layout.root.string() + ": " + std::to_string(left) + " left and " +
+              std::to_string(others) + " " + name +
+              " images, and their names do not say which belong together");
+}
+
 /// Images that are counted, with times from elsewhere: those with equal numbers are a frame.
 void by_number(std::vector<named_image> const& left, std::vector<named_image> const& right,
                std::string const& times_file, open_options const& options,
@@ -257,9 +265,7 @@ void by_number(std::vector<named_image> const& left, std::vector<named_image> co
   std::vector<std::int64_t> others = counters_of(right);
   if (numbers.empty() || (pair && others.empty())) {  // no numbers: the order says it
     if (pair && left.size() != right.size()) {
-      throw error(layout.root.string() + ": " + std::to_string(left.size()) + " left and " +
-                  std::to_string(right.size()) +
-                  " right images, and their names do not say which belong together");
+      refuse_order(layout, left.size(), right.size(), "right");
     }
     numbers.clear();
     for (std::size_t i = 0; i < left.size(); ++i) {
@@ -292,20 +298,26 @@ void by_number(std::vector<named_image> const& left, std::vector<named_image> co
   layout.unpaired.right = pair ? static_cast<int>(others.size() - common) : 0;
 }
 
-/// The images of a camera beside a pair that is counted: they have the times of the left ones.
-/// @param times of the left images, in their order
+/// The images of a camera beside a pair that is counted: they have the times of the frames that
+/// by_number() has made of the left ones.
 std::vector<listed_image> at_times_of(std::vector<named_image> const& left,
-                                      std::vector<std::int64_t> const& times,
-                                      std::vector<named_image> const& images) {
+                                      std::vector<named_image> const& images,
+                                      std::string const& name, layout_of_files const& layout) {
   std::vector<std::int64_t> const numbers = counters_of(left);
   std::vector<std::int64_t> const others = counters_of(images);
   bool const by_order = numbers.empty() || others.empty();
+  if (by_order && left.size() != images.size()) {
+    refuse_order(layout, left.size(), images.size(), name);
+  }
   std::vector<listed_image> listed;
-  for (std::size_t i = 0, k = 0; i < left.size() && k < images.size(); ++i) {
-    while (!by_order && k < others.size() && others[k] < numbers[i]) { ++k; }
-    if (k < images.size() && (by_order || others[k] == numbers[i])) {
-      listed.push_back({times[i], images[k++].file});
-    }
+  std::size_t i = 0;
+  for (frame_files const& frame : layout.frames) {
+    while (left[i].file != frame.left) { ++i; }
+    auto const at =
+        by_order ? others.end() : std::lower_bound(others.begin(), others.end(), numbers[i]);
+    if (!by_order && (at == others.end() || *at != numbers[i])) { continue; }
+    auto const k = by_order ? i : static_cast<std::size_t>(at - others.begin());
+    listed.push_back({frame.time_ns, images[k].file});
   }
   return listed;
 }
@@ -319,7 +331,7 @@ void find_folder_frames(layout_of_files& layout, open_options const& options) {
     throw error(layout.root.string() + ": no depth images: neither depth.txt nor associations.txt");
   }
   camera_folders const folders = find_folders(layout.root);
-  if (options.rig == camera_kind::stereo && folders.right.empty()) {
+  if (is_pair(options.rig) && folders.right.empty()) {
     throw error(layout.root.string() + ": images of one camera alone, in " + folders.left.string() +
                 ": not a stereo sequence");
   }
@@ -331,11 +343,12 @@ void find_folder_frames(layout_of_files& layout, open_options const& options) {
   if (times.empty() && options.fps == 0) { times = find_times(layout.root, folders.left); }
   bool const counted = options.fps > 0 || !times.empty();
   if (counted) { by_number(left, right, times, options, layout); }
-  for (std::size_t k = 0; pair && options.rig == camera_kind::any && k < folders.more.size(); ++k) {
+  for (std::size_t k = 0; options.rig == camera_kind::mixed && k < folders.more.size(); ++k) {
     std::vector<named_image> const images = list_images(folders.more[k]);
-    layout.more.push_back(
-        {"cam" + std::to_string(2 + k), counted ? at_times_of(left, layout.times, images)
-                                                : by_name(images, folders.more[k], layout)});
+    if (images.empty()) { break; }
+    std::string const name = "cam" + std::to_string(2 + k);
+    layout.more.push_back({name, counted ? at_times_of(left, images, name, layout)
+                                         : by_name(images, folders.more[k], layout)});
   }
   if (counted) { return; }
   two_lists lists;

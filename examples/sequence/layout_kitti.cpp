@@ -62,9 +62,9 @@ void find_kitti_frames(layout_of_files& layout, open_options const& options) {
   if (options.rig == camera_kind::rgbd) {
     throw error(layout.root.string() + ": the KITTI layout has no depth images");
   }
-  bool const pair = options.rig == camera_kind::stereo ||
-                    (options.rig == camera_kind::any &&
-                     is_directory((layout.root / image_folder(layout, 1)).string()));
+  bool const pair =
+      is_pair(options.rig) || (options.rig == camera_kind::any &&
+                               is_directory((layout.root / image_folder(layout, 1)).string()));
   layout.stamps_from = "times.txt";
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
   std::string const times_file = (layout.root / "times.txt").string();

@@ -100,7 +100,7 @@ void read_associations(std::string const& path, std::int64_t most_ns, layout_of_
 
 void find_tum_frames(layout_of_files& layout, open_options const& options) {
   auto const path = [&](char const* name) { return (layout.root / name).string(); };
-  if (options.rig == camera_kind::stereo) {
+  if (is_pair(options.rig)) {
     throw error(layout.root.string() + ": the TUM RGB-D layout has no second camera");
   }
   bool const depth = is_file(path("associations.txt")) || is_file(path("depth.txt"));

@@ -167,7 +167,7 @@ Eigen::Isometry3d sequence::impl::prepare_images(std::string const& directory,
   bool const all_fisheye =
       raw.left.model == lens::kannala_brandt && raw.right.model == lens::kannala_brandt;
   std::string const source = options.calibration.empty() ? directory : options.calibration;
-  mixed = kind == camera_kind::stereo && options.keep_fisheye && detail::is_mixed(raw);
+  mixed = options.rig == camera_kind::mixed;
   if (mixed) {
     detail::check_mixed(raw, source);
     return T_raw_loaded;

@@ -44,16 +44,16 @@ struct open_options {
   /// Calibration file or folder to use instead of the folder's own: whatever read_calibration
   /// knows. Empty = the folder's.
   std::string calibration;
-  /// Keeps fisheye (Kannala-Brandt) pairs and single cameras, and mixed rigs, as they are; others
-  /// are rectified on load: a single camera to a pinhole. Without it a rig is its first pair.
+  /// Keeps fisheye (Kannala-Brandt) pairs and single cameras as they are; others are rectified on
+  /// load: a single camera to a pinhole. Mixed rigs are never rectified.
   bool keep_fisheye = true;
   /// Reads at most this many frames; 0 = all.
   int max_frames = 0;
   /// Reads the IMU's samples from mav0/imu0, or of plain folders from imu0/data.csv or imu.csv.
   /// Without it no file of the IMU is opened.
   bool read_imu = false;
-  /// What to open: with `any` a pair where there is one, with the cameras beside it, else the
-  /// camera with its depth images where there are some, else the one camera.
+  /// What to open: with `any` a pair where there is one, else the camera with its depth images
+  /// where there are some, else the one camera. With `mixed` a pair and the cameras beside it.
   camera_kind rig = camera_kind::any;
   /// How far the time stamps of the two images of a frame may be apart, at least 0. Nothing = 1 ms
   /// for a pair of cameras, 20 ms for colour and depth.
@@ -113,9 +113,7 @@ public:
   /// The cameras as calibrated.
   stereo_rig const& raw_rig() const;
   bool fisheye() const;
-  /// Whether the images are those of rig_cameras(), as they are: there are cameras beside the pair,
-  /// or the pair is not to be rectified: one wide lens beside another one, or one camera above the
-  /// other.
+  /// Whether the images are those of rig_cameras(), as they are: `mixed` was asked for.
   bool mixed() const;
   double depth_unit() const;                   ///< metres per unit of depth images; 0 without
   std::string const& depth_unit_from() const;  ///< who says so, for people

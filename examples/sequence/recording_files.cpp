@@ -28,33 +28,34 @@ namespace {
 namespace fs = std::filesystem;
 
 /// The calibration in the sequence's folder. @param width,height of its images
-calibration own_calibration(layout_of_files const& l, int width, int height, std::string& path) {
+calibration own_calibration(layout_of_files const& l, camera_kind kind, int width, int height,
+                            std::string& path) {
   auto const there = [&](fs::path const& file) {
     path = file.string();
     return is_file(path);
   };
   if (!l.mav0.empty() && there(l.mav0 / "cam0" / "sensor.yaml")) {
-    if (l.kind == camera_kind::stereo && !is_file((l.mav0 / "cam1" / "sensor.yaml").string())) {
+    if (is_pair(kind) && !is_file((l.mav0 / "cam1" / "sensor.yaml").string())) {
       throw missing_calibration((l.mav0 / "cam1" / "sensor.yaml").string() + ": no such file");
     }
-    return read_euroc_calibration(l.mav0.string(), l.kind);
+    return read_euroc_calibration(l.mav0.string(), kind);
   }
   bool const folders = l.name == "folders";
   if (l.name == "kitti" && there(l.root / "calib.txt")) {
-    return read_kitti_calibration(path, width, height, l.left_camera, l.kind);
+    return read_kitti_calibration(path, width, height, l.left_camera, kind);
   }
   if (folders && there(l.root / "calib.txt")) {
-    return read_calibration(path, width, height, l.left_camera, l.kind);
+    return read_calibration(path, width, height, l.left_camera, kind);
   }
-  bool const one = l.kind != camera_kind::stereo;
+  bool const one = !is_pair(kind);
   if ((l.name == "tum" || (folders && one)) && there(l.root / "camera.txt")) {
-    return read_camera_txt(path, width, height, l.kind);
+    return read_camera_txt(path, width, height, kind);
   }
   std::string const missing = path;
   bool const whole = l.mav0.empty() || l.mav0.filename() == "mav0";  // root is the recording's own
   for (fs::path const& folder : {l.mav0, whole ? l.root : fs::path()}) {
     path = folder.empty() ? std::string() : find_calibration_file(folder.string());
-    if (!path.empty()) { return read_calibration(path, width, height, l.left_camera, l.kind); }
+    if (!path.empty()) { return read_calibration(path, width, height, l.left_camera, kind); }
   }
   throw missing_calibration(
       (folders ? l.root.string() + ": holds no calibration" : missing + ": no such file") + "; " +
@@ -69,12 +70,13 @@ calibration find_calibration(layout_of_files const& l, open_options const& optio
   int width = 0;
   int height = 0;
   read_image_size(first.left, width, height);
+  camera_kind const kind = options.rig == camera_kind::mixed ? options.rig : l.kind;
   calibration calib;
   if (options.calibration.empty()) {
-    calib = own_calibration(l, width, height, source.calibration);
+    calib = own_calibration(l, kind, width, height, source.calibration);
   } else {
     source.calibration = options.calibration;
-    calib = read_calibration(options.calibration, width, height, l.left_camera, l.kind);
+    calib = read_calibration(options.calibration, width, height, l.left_camera, kind);
   }
   if (!calib.has_body_frame && !l.mav0.empty() &&
       is_file((l.mav0 / "cam0" / "sensor.yaml").string())) {

@@ -14,7 +14,6 @@ namespace {
 
 constexpr double least_cosine = 0.70710678118654752;  // of 45 degrees
 
-bool is_wide(lens model) { return model == lens::kannala_brandt || model == lens::double_sphere; }
 /// Whether a camera of a mixed rig may have it.
 bool is_known(lens model) { return model != lens::unified && model != lens::extended_unified; }
 
@@ -55,17 +54,6 @@ bool added_camera(stereo_rig& rig, int k, std::string const& source,
   }
 }
 
-bool is_mixed(stereo_rig const& rig) {
-  if (!rig.more.empty()) { return true; }
-  bool const fisheye =
-      rig.left.model == lens::kannala_brandt && rig.right.model == lens::kannala_brandt;
-  if (fisheye || !is_known(rig.left.model) || !is_known(rig.right.model)) { return false; }
-  // Along the baseline no rows correspond.
-  Eigen::Vector3d const t = rig.T_left_right.translation();
-  bool const above = std::fabs(t.x()) < least_cosine * t.norm();
-  return above || is_wide(rig.left.model) != is_wide(rig.right.model);
-}
-
 void check_mixed(stereo_rig const& rig, std::string const& source) {
   std::vector<rig_camera> const all = rig_cameras(rig);
   constexpr std::size_t most = 16;
@@ -80,8 +68,7 @@ void check_mixed(stereo_rig const& rig, std::string const& source) {
       throw error(
           source + ": " + name +
           " has a unified lens (omni, eucm), which no rig of several cameras has: must be "
-          "pinhole with radtan, equidistant or none, or ds; --rig rectified takes the first "
-          "pair alone");
+          "pinhole with radtan, equidistant or none, or ds; --rig auto takes the first pair alone");
     }
     if (c.width != rig.left.width || c.height != rig.left.height) {
       throw error(source + ": " + name + " is " + size_text(c.width, c.height) + " pixels, cam0 " +

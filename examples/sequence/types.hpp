@@ -62,7 +62,12 @@ enum class camera_kind {
   stereo,  ///< two cameras
   mono,    ///< one camera
   rgbd,    ///< one camera with depth images
+  mixed,   ///< in options: a pair and all cameras beside it, as they are
 };
+
+constexpr bool is_pair(camera_kind kind) {
+  return kind == camera_kind::stereo || kind == camera_kind::mixed;
+}
 
 /// A camera on a rig.
 struct mounted_camera {

@@ -54,10 +54,11 @@ void add_tracking(CLI::App& app, arguments& a) {
          "--rig", a.rig,
          "auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), "
          "mono (one camera, of a pair the left one; without an IMU the scale of the path is "
-         "not known), rgbd (one camera with depth images), rectified (a pair) or fisheye "
-         "(two Kannala-Brandt cameras, not rectified); monocular is mono")
-      ->check(
-          CLI::IsMember({"auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "monocular"}))
+         "not known), rgbd (one camera with depth images), rectified (a pair), fisheye "
+         "(two Kannala-Brandt cameras, not rectified) or mixed (all cameras of a rig, of any "
+         "lenses, not rectified); monocular is mono")
+      ->check(CLI::IsMember(
+          {"auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "mixed", "monocular"}))
       ->capture_default_str();
   app.add_option("--depth-unit", a.depth_unit,
                  "metres per unit of depth images; default: the calibration's, or 0.0002 (TUM)");

@@ -87,6 +87,7 @@ ft::imu_params imu_params_of(arguments const& a, seq::sequence const& sequence) 
 seq::camera_kind kind_of(std::string const& rig) {
   if (rig == "auto") { return seq::camera_kind::any; }
   if (rig == "rgbd") { return seq::camera_kind::rgbd; }
+  if (rig == "mixed") { return seq::camera_kind::mixed; }
   bool const one = rig == "mono" || rig == "monocular";
   return one ? seq::camera_kind::mono : seq::camera_kind::stereo;
 }

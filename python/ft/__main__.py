@@ -71,10 +71,10 @@ def parser() -> argparse.ArgumentParser:
                          help="auto is a GPU if there is one")
     command.add_argument("--threads", type=count(0, 4096), default=0, help="of the host; 0 = all")
     command.add_argument("--rig", default="auto",
-                         choices=["auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "monocular"],
+                         choices=["auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "mixed", "monocular"],
                          help="auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), mono (one "
-                              "camera, of a pair the left one), rgbd (with depth images), rectified or fisheye (a pair); "
-                              "monocular is mono")
+                              "camera, of a pair the left one), rgbd (with depth images), rectified or fisheye (a pair), mixed "
+                              "(all cameras of a rig, of any lenses, as they are); monocular is mono")
     command.add_argument("--max-time-difference", type=number(0, 1e4), metavar="MS",
                          help="how far the time stamps of the two images of a frame may be apart; default: 1 for a pair, 20 "
                               "for depth images")

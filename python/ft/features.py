@@ -123,9 +123,10 @@ class ImageFeatures:
         rows = _on_host(self.descriptors)
         if kind == "orb":
             return np.ascontiguousarray(rows) if isinstance(rows, np.ndarray) else rows
-        if not isinstance(rows, np.ndarray):
-            raise ValueError(f"descriptors of the features are a {type(rows).__name__}, must be a NumPy array, or on the GPU, "
-                             f"for an odometry of {kind}")
+        listed = isinstance(rows, (list, tuple))
+        rows = np.asarray(rows)
+        if listed and rows.dtype.kind in "iu" and rows.size > 0 and rows.min() >= 0 and rows.max() <= 255:
+            rows = rows.astype(np.uint8)
         if rows.ndim == 2 and len(rows) == 0:
             return np.zeros((0, 64 if kind == "bits_512" else 128), np.uint8)
         if kind == "bits_512":

@@ -109,6 +109,10 @@ class Odometry:
     def track(self, *images: Union[ImageFeatures, int], time_ns: Optional[int] = None,
               stream: Optional[StreamLike] = None) -> _ft.Tracking: ...
 
+    @overload
+    def track(self, *images: Union[Sequence[ImageFeatures], Sequence[int]], time_ns: Optional[Sequence[int]] = None,
+              stream: Optional[StreamLike] = None) -> list[_ft.Tracking]: ...
+
     def track(self, *images: object, time_ns: object = None,
               stream: Optional[StreamLike] = None) -> Union[_ft.Tracking, list[_ft.Tracking]]:
         """Tracks a frame, and returns ft.Tracking.
@@ -124,9 +128,10 @@ class Odometry:
         ValueError for another number, shape, type, place or time; then nothing has changed. Warns once if most depths are
         beyond 1000 baselines, as those of a wrong unit are.
 
-        track(features, time_ns) with ImageFeatures is track_features().
+        track(features, time_ns) with ImageFeatures, or with sequences of them, is track_features().
         """
-        if images and isinstance(images[0], ImageFeatures):
+        first = images[0] if images else None
+        if isinstance(first[0] if isinstance(first, (list, tuple)) and first else first, ImageFeatures):
             return self.track_features(*images, time_ns=time_ns, stream=stream)  # type: ignore[call-overload,no-any-return]
         if time_ns is None:
             if not images:

@@ -134,8 +134,9 @@ class MonocularCamera:
 class RigCamera:
     """A camera of a MultiRig: the left one of a rectified pair or, with a `baseline` of 0, one of its own. `camera`: fx, fy,
     cx, cy, pixels, or ft.Pinhole, ft.RadTan, ft.KannalaBrandt or ft.DoubleSphere. `baseline`: to the right camera of the
-    rectified pair, metres. `T_camera_body` (4, 4) maps points of the body to the (left) camera. `right`: the number of
-    another camera of the rig that sees the same: both are a pair, which is not rectified."""
+    rectified pair, metres; the camera is a pinhole then. `T_camera_body` (4, 4) maps points of the body to the (left) camera.
+    `right`: the number of another camera of the rig that sees the same: both are a pair, which is not rectified, and
+    `baseline` is 0. Other values raise ValueError where the rig is used."""
 
     camera: Camera
     baseline: float = 0.0
@@ -143,6 +144,9 @@ class RigCamera:
     right: Optional[int] = None
 
     def _plain(self) -> dict[str, object]:
+        if self.right is not None and self.baseline != 0:
+            raise ValueError(f"right is {self.right} and baseline is {self.baseline}: a camera is in one pair, rectified "
+                             "(baseline) or not (right)")
         models = {_ft.Pinhole: "pinhole", _ft.RadTan: "radtan8", _ft.KannalaBrandt: "kannala_brandt",
                   _ft.DoubleSphere: "double_sphere"}
         return {"model": next((name for m, name in models.items() if isinstance(self.camera, m)), "pinhole"),
@@ -152,10 +156,11 @@ class RigCamera:
 
 @dataclass
 class MultiRig:
-    """1 to 16 cameras of any models fixed to a body, at least two of them a pair, in any order. One map and one pose, that
-    of the body, come from all of them. `cameras`: a list of RigCamera. A frame has an image for each camera and two, left
-    and right, for each rectified pair, in the order of `cameras`. A single camera makes no points: it finds those of the
-    pairs. Memory is taken for 4 pinholes; from the fifth on, and for other models, for 16 cameras."""
+    """1 to 16 cameras fixed to a body, in any order, of the models of RigCamera. At least one has a `baseline`, or two are a
+    pair by `right`. One map and one pose, that of the body, come from all of them. `cameras`: a list of RigCamera. A frame has
+    an image for each camera and two, left and right, for each with a baseline, in the order of `cameras`. A single camera
+    makes no points: it finds those of the pairs. Memory is taken for 4 cameras; for 16 from the fifth on, for other models than
+    pinholes, and for pairs by `right`."""
 
     cameras: list[RigCamera]
 

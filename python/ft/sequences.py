@@ -159,8 +159,9 @@ class Trajectory:
 
 class Sequence:
     """Frames on disk, decoded when they are asked for; of fisheye cameras and of a MultiRig as they are, of others
-    rectified. rig: what ft.Odometry takes; that of more than two cameras, or of a pair of different lenses, is a MultiRig. ground_truth: a Trajectory, which is empty, and false, where there is none. warnings: what was left
-    out or looks wrong, a sentence each. files: that of the extension."""
+    rectified. rig: what ft.Odometry takes; of read_sequence(rig="mixed") a MultiRig. ground_truth: a Trajectory, which is empty,
+    and false, where there is none. warnings: what was left out or looks wrong, a sentence each. files: that of the
+    extension."""
 
     def __init__(self, files: _ft.SequenceFiles, min_depth: float = 0.0, max_depth: Optional[float] = None,
                  recording: Optional[Unpacked] = None) -> None:
@@ -227,18 +228,20 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     """Opens a recording. It is a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM
     RGB-D, or plain folders of images: left and right (cam0 and cam1, image_0 and image_1), or one. Or it is a bag (.bag,
     .mcap, .db3, the folder of a ROS 2 bag; package rosbags), a video or a list of two (package opencv-python), or images
-    of one camera, as a list or a pattern such as "images/*.png". Bags and videos are unpacked to a folder for temporary
+    of one camera, as a list or a pattern such as "images/*.png". A folder with videos and no images is opened as its videos
+    left and right, or as the only one. Bags and videos are unpacked to a folder for temporary
     files, which is removed with the sequence.
 
     calibration: a file or folder in place of the sequence's own: Kalibr's chain, OpenCV's YAML or XML of a pair, ROS
     camera_info (left.yaml beside right.yaml), basalt's JSON, what rs-enumerate-devices -c prints,
     DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt; a bag has
-    its camera_info. fps, times: of plain folders, images a second, or a file with a time a line; None and "" = the file
+    its camera_info. The calibration of a video is the one beside it; that of a single video is of one camera. fps, times: of plain folders, images a second, or a file with a time a line; None and "" = the file
     names or times.txt say them. topics: of a bag, one with images, left and right, or colour and depth; empty = found by
     type and name. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
     also reads mav0/imu0, imu0 or imu.csv, or a bag's sensor_msgs/Imu, if the calibration says where it is (Kalibr's
-    chain). rig: auto (what the folder holds), stereo, mono (the left camera alone) or rgbd. depth_unit: metres per unit of depth images; None
-    = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
+    chain). rig: auto (what the folder holds), stereo, mono (the left camera alone), rgbd, or mixed: a pair and all cameras beside it (cam2 ..., of
+    EuRoC's layout or of folders with Kalibr's chain), of any lenses, as they are; auto and stereo take the pair alone.
+    depth_unit: metres per unit of depth images; None = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
     stamps of a frame's images may be apart; None = 1 ms for a pair, 20 ms for depth images. Warns of what was left out or
     looks wrong. Raises RuntimeError that names the file and what is wrong; ValueError for arguments out of range."""
     options = {
@@ -249,7 +252,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     if not isinstance(max_frames, (int, np.integer)) or not 0 <= max_frames < 2**31:
         raise ValueError(f"max_frames is {max_frames!r}, must be a whole number from 0 to {2**31 - 1}")
     frames = int(max_frames)
-    recording = unpacked(folder, Wanted(str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics),
+    recording = unpacked(folder, Wanted("stereo" if rig == "mixed" else str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics),
                                         bool(str(calibration)), progress or (lambda images: None)))
     if recording is None:
         first = folder[0] if isinstance(folder, (list, tuple)) else folder

@@ -28,7 +28,7 @@ SAMPLES = 6  # frames that are drawn in the report
 
 
 RIGS = {"auto": "auto", "stereo": "stereo", "rectified": "stereo", "fisheye": "stereo", "mono": "mono", "monocular": "mono",
-        "rgbd": "rgbd"}
+        "rgbd": "rgbd", "mixed": "mixed"}
 
 
 class Unpacking:

@@ -24,7 +24,8 @@ Progress = Callable[[int], None]
 
 @dataclass
 class Wanted:
-    """What a caller of read_sequence asks of a recording. rig: auto, stereo, mono or rgbd. topics: of images, of a bag;
+    """What a caller of read_sequence asks of a recording. rig: auto, stereo, mono or rgbd; a mixed
+    one is stereo here. topics: of images, of a bag;
     empty: found. calibration: whether one was named."""
 
     rig: str = "auto"
@@ -143,15 +144,14 @@ def of_images(source: str, paths: list[Path]) -> Unpacked:
     made.what = f"{source}, images of one camera"
     for path in paths:
         (made.folder / path.name).symlink_to(path.resolve())
-    link_calibrations(parents.pop(), made.folder, times=True)
+    link_calibrations(parents.pop(), made.folder)
     return made
 
 
-def link_calibrations(source: Path, folder: Path, times: bool = False) -> None:
-    """times: files with times, too."""
+def link_calibrations(source: Path, folder: Path, taken: Callable[[Path], bool] = lambda path: True) -> None:
+    """taken: which of the files that may be calibrations."""
     for path in source.iterdir():
-        known = path.suffix.lower() in (".txt", ".yaml", ".yml", ".xml", ".json")
-        if known and (times or path.name not in ("times.txt", "timestamps.txt")):
+        if path.suffix.lower() in (".txt", ".yaml", ".yml", ".xml", ".json") and taken(path):
             (folder / path.name).symlink_to(path)
 
 

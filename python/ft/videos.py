@@ -3,18 +3,45 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Optional
 
 import numpy as np
 
-from .unpacking import VIDEOS, Unpacked, Wanted, begin, link_calibrations, stamp_text, write_pnm
+from .unpacking import IMAGES, VIDEOS, Unpacked, Wanted, begin, link_calibrations, stamp_text, write_pnm
+
+LAYOUTS = ("mav0", "cam0", "image_0", "image_2", "rgb.txt", "associations.txt", "times.txt")
+# What a calibration of more than one camera has, and of the .txt files those with a camera.
+PAIR = re.compile(r"\b(cam1|camera_?matrix_?(2|r|right)|[MKD]_?(2|R|r|right)|right_\w+|Camera2\.fx|Camera\.bf|Stereo\.b|"
+                  r"RIGHT\.K|P1)[\"']?\s*:|<(M|K|D|camera_?matrix_?)2>|Fisheye 2|Infrared 2|T_imu_cam[\s\S]*px[\s\S]*px|"
+                  r"intrinsicMatrix[\s\S]*intrinsicMatrix|^2 [A-Z_]+ \d+ \d+ ", re.IGNORECASE | re.MULTILINE)
+CAMERA = re.compile(r"^P[0-3]:|^Intrinsic of \"|^\d+ [A-Z][A-Z_0-9]* \d+ \d+ ", re.MULTILINE)
+SIDE = re.compile(r"left|right|cam(era)?_?[01]", re.IGNORECASE)
 
 
 def videos_in(folder: Path) -> list[Path]:
-    """Of a folder with videos and no images: left and right, or the only one; empty for another folder."""
-    videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS)
+    """Of a folder with videos, without images and without a layout: left and right, or the only one; empty for another."""
+    videos = sorted(path for path in folder.glob("*") if path.suffix.lower() in VIDEOS)
     sides = [path for side in ("left", "right") for path in videos if path.stem.lower() == side]
-    return sides if len(sides) == 2 else videos if len(videos) == 1 else []
+    found = sides if len(sides) == 2 else videos if len(videos) == 1 else []
+    if not found or any((folder / name).exists() for name in LAYOUTS):
+        return []
+    files = (path for pattern in ("*", "*/*", "*/data/*") for path in folder.glob(pattern))
+    return [] if any(path.suffix.lower() in IMAGES for path in files) else found
+
+
+def is_calibration(file: Path, video: Optional[Path]) -> bool:
+    """Whether a file beside videos may be their calibration. video: the only one, whose calibration is of one camera."""
+    if not file.is_file() or file.stat().st_size > 1 << 20:
+        return False
+    text = file.read_text(errors="replace")
+    if file.suffix.lower() == ".txt" and file.name != "camera.txt" and not CAMERA.search(text):
+        return False
+    if video is None:
+        return True
+    of_side = SIDE.search(file.stem) and file.stem.lower() != video.stem.lower()
+    return video.stem.lower() != "right" and not of_side and not PAIR.search(text)
 
 
 def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
@@ -29,6 +56,7 @@ def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
                            "opencv-python-headless") from None
     if wanted.rig == "rgbd" or (wanted.rig == "stereo" and len(paths) == 1):
         raise RuntimeError(f"{paths[0]}: the video of one camera: a pair is two videos, and none has depth images")
+    lone = paths[0] if len(paths) == 1 else None
     if wanted.rig == "mono":
         paths = paths[:1]
     made = begin(str(paths[0]), "video")
@@ -42,7 +70,7 @@ def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
         if doubled:
             made.warnings.append(f"{path}: {doubled} images left out: their stamps are not after those of the images before")
     if not wanted.calibration:
-        link_calibrations(paths[0].resolve().parent, made.folder)
+        link_calibrations(paths[0].resolve().parent, made.folder, lambda file: is_calibration(file, lone))
     return made
 
 

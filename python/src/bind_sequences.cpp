@@ -33,13 +33,14 @@ char const* kind_of(seq::sequence const& s) {
   }
 }
 
-/// @param name auto, stereo, mono or rgbd
+/// @param name auto, stereo, mono, rgbd or mixed
 seq::camera_kind kind_named(std::string const& name) {
   if (name == "auto") { return seq::camera_kind::any; }
   if (name == "stereo") { return seq::camera_kind::stereo; }
   if (name == "mono") { return seq::camera_kind::mono; }
   if (name == "rgbd") { return seq::camera_kind::rgbd; }
-  throw argument_error("rig is '" + name + "', must be auto, stereo, mono or rgbd");
+  if (name == "mixed") { return seq::camera_kind::mixed; }
+  throw argument_error("rig is '" + name + "', must be auto, stereo, mono, rgbd or mixed");
 }
 
 /// Of a mixed rig.

@@ -83,6 +83,8 @@ def test_a_pair_of_two_cameras_of_different_models(walk):
         rig.cameras[0].right = right
         with pytest.raises(ValueError, match=text):
             odometry_of(rig)
+    with pytest.raises(ValueError, match="right is 1 and baseline is 0.1"):
+        odometry_of(ft.MultiRig([ft.RigCamera(CAMERA, 0.1, right=1), ft.RigCamera(CAMERA)]))
 
 
 def test_five_cameras_and_batches(walk):

@@ -61,6 +61,9 @@ def test_one_video_is_one_camera(videos, tmp_path):
     lone.write_bytes((videos / "left.avi").read_bytes())
     with pytest.raises(RuntimeError, match="left.avi: holds no calibration; accepted are"):
         ft.read_sequence(lone)
+    (lone.parent / "stereo.yml").write_bytes((videos / "stereo.yml").read_bytes())  # of a pair
+    with pytest.raises(RuntimeError, match="left.avi: holds no calibration; accepted are"):
+        ft.read_sequence(lone)
     (lone.parent / "camera.txt").write_text(f"{F} {F} {CX} {CY}\n")  # found beside the video
     assert isinstance(ft.read_sequence(lone, max_frames=2).rig, ft.MonocularCamera)
     assert ft.read_sequence(videos, max_frames=2).kind == "stereo"

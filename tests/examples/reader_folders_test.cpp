@@ -283,8 +283,11 @@ TEST(reader_rigs, cameras_of_different_lenses_are_taken_as_they_are) {
           10 * camera + i);
     }
   }
-  seq::sequence s = seq::sequence::open(folder.path());
+  seq::open_options options;
+  options.rig = seq::camera_kind::mixed;
+  seq::sequence s = seq::sequence::open(folder.path(), options);
   ASSERT_TRUE(s.mixed());
+  EXPECT_EQ(s.kind(), seq::camera_kind::stereo);
   EXPECT_FALSE(s.fisheye());
   EXPECT_EQ(s.rig().left.model, seq::lens::pinhole);
   EXPECT_EQ(rights_of(s), (std::vector<int>{1, -1, 3, -1}));  // the last two look back
@@ -301,27 +304,50 @@ TEST(reader_rigs, cameras_of_different_lenses_are_taken_as_they_are) {
   EXPECT_EQ(seq::describe(s)[1].text,
             "4 cameras, 64x48; cam0 pinhole and cam1 Kannala-Brandt, 0.1 m apart; cam2 "
             "Kannala-Brandt and cam3 pinhole, 0.1 m apart");
-  // The first pair alone, as it is or rectified.
-  seq::open_options options;
-  options.rig = seq::camera_kind::stereo;
-  s = seq::sequence::open(folder.path(), options);
-  EXPECT_TRUE(s.mixed() && s.size() == 4 && s.load(0).more.empty() && s.warnings().empty());
-  options.keep_fisheye = false;
-  s = seq::sequence::open(folder.path(), options);
-  EXPECT_TRUE(!s.mixed() && s.rig().rectified());
+  // Where it is not asked for: the first pair, rectified.
+  s = seq::sequence::open(folder.path());
+  EXPECT_TRUE(!s.mixed() && s.rig().rectified() && s.size() == 4 && s.load(0).more.empty());
+  ASSERT_EQ(s.warnings().size(), 1U);
+  EXPECT_TRUE(
+      contains(s.warnings()[0], "cameras after cam1 are not taken: --rig mixed takes them"));
 
   folder.write("camchain.yaml", pair);
-  s = seq::sequence::open(folder.path());
+  EXPECT_TRUE(seq::sequence::open(folder.path()).warnings().empty());
+  s = seq::sequence::open(folder.path(), options);
   EXPECT_TRUE(s.mixed() && s.size() == 4);
   ASSERT_EQ(s.warnings().size(), 1U);
   EXPECT_EQ(s.warnings()[0], "cam2 and those after it are not taken: it has no calibration");
 }
 
+TEST(reader_rigs, counted_images_have_the_times_of_the_pair) {
+  temp_folder const folder;
+  folder.write("camchain.yaml",
+               chained(0, "none", 0, 0) + chained(1, "none", 0.1, 0) + chained(2, "none", 0.1, 0));
+  folder.write("times.txt", "1.0\n1.1\n1.1\n1.3\n");
+  for (int i = 0; i < 4; ++i) {
+    std::string const name = "/" + std::to_string(i) + ".png";
+    put(folder, "cam0" + name, i);
+    put(folder, "cam1" + name, i);
+    if (i != 0) { put(folder, "cam2" + name, 20 + i); }
+  }
+  seq::open_options options;
+  options.rig = seq::camera_kind::mixed;
+  seq::sequence const s = seq::sequence::open(folder.path(), options);
+  EXPECT_EQ(times_of(s), (time_list{1'100'000'000, 1'300'000'000}));
+  EXPECT_EQ(s.load(1).more[0].pixels[0], 23);
+  put(folder, "cam2/odd.png", 1);
+  put(folder, "cam2/other.png", 1);
+  std::string const more = message_of([&] { seq::sequence::open(folder.path(), options); });
+  EXPECT_TRUE(contains(more, "4 left and 5 cam2 images, and their names do not say")) << more;
+}
+
 TEST(reader_rigs, says_which_rigs_are_none) {
   temp_folder const folder;
+  seq::open_options options;
+  options.rig = seq::camera_kind::mixed;
   auto const refused = [&](std::string const& chain) {
     folder.write("camchain.yaml", chain);
-    return message_of([&] { seq::sequence::open(folder.path()); });
+    return message_of([&] { seq::sequence::open(folder.path(), options); });
   };
   for (char const* name : {"cam0/1.5.png", "cam1/1.5.png", "cam2/1.5.png"}) {
     put(folder, name, 1);
@@ -335,10 +361,10 @@ TEST(reader_rigs, says_which_rigs_are_none) {
   EXPECT_TRUE(contains(message, "no two of the 2 cameras look the same way")) << message;
   // One camera above the other: no rows correspond.
   folder.write("camchain.yaml", chained(0, "none", 0, 0) + chained(1, "none", 0, 0.1));
-  EXPECT_TRUE(seq::sequence::open(folder.path()).mixed());
+  EXPECT_TRUE(seq::sequence::open(folder.path(), options).mixed());
   folder.write("camchain.yaml", pair + replaced(chained(2, "none", 0, 0), "[40, 40", "[-40, 40"));
-  seq::sequence const s = seq::sequence::open(folder.path());
-  EXPECT_TRUE(s.fisheye());
+  seq::sequence const s = seq::sequence::open(folder.path(), options);
+  EXPECT_TRUE(s.mixed());
   ASSERT_FALSE(s.warnings().empty());
   EXPECT_TRUE(contains(s.warnings().back(), "cam2 and those after it are not taken: "))
       << s.warnings().back();

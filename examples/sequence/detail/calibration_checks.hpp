@@ -72,11 +72,8 @@ void set_one_camera(stereo_rig& rig, camera_kind kind);
 bool added_camera(stereo_rig& rig, int k, std::string const& source,
                   std::function<void()> const& add, std::vector<std::string>& warnings);
 
-/// Whether a pair is not to be rectified, or has cameras beside it. See sequence::mixed().
-bool is_mixed(stereo_rig const& rig);
 /// @throws seq::error naming both sizes where they differ, and the lens that no rig has; without
-/// any
-///   pair
+///   any pair
 void check_mixed(stereo_rig const& rig, std::string const& source);
 
 /// @param name of the camera, for the message @throws seq::error

@@ -17,8 +17,8 @@ namespace seq::detail {
 struct frame_files {
   std::int64_t time_ns = 0;
   std::string left;
-  std::string second;             ///< the right image or the depth image; empty for one camera
-  std::vector<std::string> more;  ///< of the cameras beside the pair
+  std::string second;                  ///< the right image or the depth image; empty for one camera
+  std::vector<std::string> more = {};  ///< of the cameras beside the pair
 };
 
 /// A line of a list of images.

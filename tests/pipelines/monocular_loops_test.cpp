@@ -127,9 +127,7 @@ TYPED_TEST(MonocularLoops, BothExecutorsHaveTheSameBits) {
   ft::odometry<typename TypeParam::exec_type, rig_type> odo(backend.exec, rig(), params(), 1,
                                                             ft::loops{});
   ft::host_exec const host(1);
-  auto named = params();
-  named.adjustment_delay = 1;  // the default of one camera
-  ft::odometry<ft::host_exec, rig_type> other(host, rig(), named, 1, ft::loops{});
+  ft::odometry<ft::host_exec, rig_type> other(host, rig(), params(), 1, ft::loops{});
   answers const a = run(odo, walk()), b = run(other, walk());
   EXPECT_GT(a.closed, 0);
   for (int i = 0; i < frames; ++i) {

@@ -369,7 +369,7 @@ TYPED_TEST(odometry_pipeline, refuses_parameters_out_of_range) {
       [](auto& p) { p.window.moving = 0; },
       [](auto& p) { p.window.fixed = 60; },
       [](auto& p) { p.window_points = 0; },
-      [](auto& p) { p.adjustment_delay = -1; },
+      [](auto& p) { p.adjustment_delay = 0; },
       [](auto& p) { p.rules.keep_share = std::numeric_limits<float>::quiet_NaN(); },
       [](auto& p) { p.rules.far_depth = std::numeric_limits<float>::quiet_NaN(); },
       [](auto& p) { p.rules.patience = 0; },

@@ -106,7 +106,7 @@ inline void check(odometry_params const& p) {
   detail::require(p.window.moving + p.window.fixed <= p.keyframes,
                   "an adjustment has more keyframes than the map");
   detail::require_range("window_points", p.window_points, 1, 1 << 20);
-  detail::require_range("adjustment_delay", p.adjustment_delay, 0, 1000);
+  detail::require_range("adjustment_delay", p.adjustment_delay, 1, 1000);
   detail::require_range("prefetch", p.prefetch, 0, 64);
   detail::require_range("adjustment.steps", p.adjustment.steps, 0, 1000);
   detail::require_range("local_map.keyframes", p.local_map.keyframes, 1, 64);

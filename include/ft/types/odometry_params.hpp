@@ -127,15 +127,13 @@ struct odometry_params {
   window_selection window{10, 5};  ///< keyframes of an adjustment: moving ones, fixed ones
   int window_points = 1 << 12;     ///< points of an adjustment, at most
   window_params adjustment;        ///< how they are adjusted
-  /// Frames after which the result of an adjustment enters. 0: 3, of a monocular_rig 1, for its new
-  /// points have the scale of the keyframes that they are triangulated from.
-  int adjustment_delay = 0;
-  monocular_start_params start;  ///< of a monocular_rig
-  imu_params imu;                ///< present or not; see inertial
-  loop_params loops;             ///< present or not; see ft::loops
-  bool own_features = false;     ///< keypoints of the caller are tracked; see ft::own_features
-  bool use_graphs = true;        ///< replay recorded graphs; false: enqueue each launch
-  bool measure_stages = false;   ///< record stage_times()
+  int adjustment_delay = 3;        ///< frames after which the result of an adjustment enters
+  monocular_start_params start;    ///< of a monocular_rig
+  imu_params imu;                  ///< present or not; see inertial
+  loop_params loops;               ///< present or not; see ft::loops
+  bool own_features = false;       ///< keypoints of the caller are tracked; see ft::own_features
+  bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
+  bool measure_stages = false;     ///< record stage_times()
   /// Frames whose images odometry::prefetch() may take ahead of their tracking, up to 64. Each
   /// takes the memory of its images and keypoints, and on the host a thread. 0 for a monocular_rig
   int prefetch = 0;

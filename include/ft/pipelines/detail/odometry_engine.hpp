@@ -129,7 +129,7 @@ struct odometry_engine {
         begun(results.size()),
         warnings(results.size()),
         adjustments(prepared(params, batch, plugged...), stages.own, stages.plugged, stages.rig,
-                    stages.settings) {
+                    params) {
     if (params.measure_stages) {
       for (auto& of_set : launches) {
         for (auto& of_extent : of_set) { of_extent.clock.enable(); }
@@ -222,9 +222,6 @@ private:
       stages.settings.rules.keyframe_period_s = params.imu.keyframe_period_s;
     }
     stages.settings.orb.start_features = start_features(params.orb);
-    if (params.adjustment_delay == 0) {
-      stages.settings.adjustment_delay = stages_type::starts_from_motion ? 1 : 3;
-    }
     stages.settings.orb.exact_positions = true;
     stages.settings.orb.refine_positions = parts_of_rig::refines_positions;
     stages.pose_settings.disparity_weight = parts_of_rig::disparity_weight;
@@ -237,7 +234,7 @@ private:
     stages.frustum.min_y = seen.min_y;
     stages.frustum.max_x = seen.max_x;
     stages.frustum.max_y = seen.max_y;
-    stages.take_all_memory(exec, stages.settings.adjustment_delay);
+    stages.take_all_memory(exec, params.adjustment_delay);
     stages.initialize_all(exec);
     exec.wait();
     (plug(make_part(plugged, exec, stages)), ...);

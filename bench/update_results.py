@@ -298,7 +298,7 @@ def places():
 def scenario_rows():
     """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
     try:
-        result = load("scenarios_h200.json")
+        result = load("scenarios_host.json")
     except FileNotFoundError:
         return NOT_YET
     by_name = {}
@@ -306,7 +306,7 @@ def scenario_rows():
         by_name.setdefault(r["scenario"], []).append(r)
     seeds = sorted({r["seed"] for r in result["rows"]})
     lines = [
-        f"{result['gpu']}; {result['date']}, commit {result['commit']}; seeds {', '.join(map(str, seeds))}.",
+        f"{result['processor']}; {result['date']}, commit {result['commit']}; seeds {', '.join(map(str, seeds))}.",
         "",
         "| scenario | seeds | ATE, mm | without IMU, mm | largest, mm | lost | most maps | silent | of frames | misses (seeds) |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---|",

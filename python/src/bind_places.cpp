@@ -17,7 +17,8 @@ public:
   void describe(nb::handle descriptors) {
     arrays kept;
     int n = 0;
-    std::uint8_t const* const first = kept.rows_of_bytes(descriptors, "descriptors", 32, n);
+    auto const* const first =
+        static_cast<std::uint8_t const*>(kept.rows_of_bytes(descriptors, "descriptors", 32, n));
     nb::gil_scoped_release const released;
     inner_->describe(first, n);
   }

@@ -4,8 +4,8 @@
 /// A block of a device compares tiles of 64 by 64 rows. It keeps some parts of them in shared
 /// memory at a time, a part of all rows after the other, and each thread the sums of 16 pairs in
 /// registers: a part is read once for several pairs. Bytes are multiplied by tensor cores where
-/// there are (compute capability 8.0). The host goes through the train rows with four query rows
-/// at a time.
+/// there are (compute capability 8.0), and numbers give a shortlist (shortlist_tiles.hpp). The host
+/// goes through the train rows with four query rows at a time.
 #pragma once
 
 #include <cstddef>
@@ -16,6 +16,8 @@
 #include "ft/core/config.hpp"
 #include "ft/descriptors/descriptor_model.hpp"
 #include "ft/descriptors/vector_descriptor.hpp"
+#include "ft/kernels/matching/detail/shortlist_tiles.hpp"
+#include "ft/kernels/matching/detail/strips.hpp"
 #include "ft/kernels/matching/match_types.hpp"
 
 namespace ft {
@@ -23,15 +25,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-inline constexpr int match_threads = 256;
 /// Query rows that the host takes at a time.
 inline constexpr int match_own = 4;
-
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-inline constexpr bool has_byte_products = true;
-#else
-inline constexpr bool has_byte_products = false;
-#endif
 
 /// The pairs of a tile that a thread compares: 4 query rows, 16 apart, with 4 train rows.
 struct pairs_apart {
@@ -44,21 +39,6 @@ struct pairs_apart {
   FT_HOST_DEVICE static int column(int rank, int c) { return rank % 16 + 16 * c; }
   FT_HOST_DEVICE static int share(int) { return 0; }
   FT_HOST_DEVICE static int line(int rank) { return rank / 16; }
-};
-/// Those of the PTX instruction mma.m16n8k32: a warp compares 16 query rows with 4 times 8 train
-/// rows, and two warps have the same query rows.
-struct pairs_of_mma {
-  static constexpr int rows = 2, columns = 8;
-  static constexpr int lanes = 4;
-  static constexpr int shares = 2;
-  static constexpr int lines = 32;
-
-  FT_HOST_DEVICE static int row(int rank, int r) { return rank / 64 * 16 + rank % 32 / 4 + 8 * r; }
-  FT_HOST_DEVICE static int column(int rank, int c) {
-    return share(rank) * 32 + c / 2 * 8 + rank % 4 * 2 + c % 2;
-  }
-  FT_HOST_DEVICE static int share(int rank) { return rank / 32 % 2; }
-  FT_HOST_DEVICE static int line(int rank) { return rank / 64 * 8 + rank % 32 / 4; }
 };
 
 /// A row's sums are those of products of bytes.
@@ -85,7 +65,7 @@ template <typename D>
 struct match_strips {
   static constexpr bool wide_on_host = true;
   static constexpr int resident_blocks = 2;
-  using scratch = match_scratch<D>;
+  using scratch = std::conditional_t<has_shortlist<D>, shortlist_scratch, match_scratch<D>>;
   using distance_type = descriptor_distance<D>;
   using workspace = match_workspace<distance_type>;
 
@@ -98,18 +78,12 @@ struct match_strips {
     strip_plan const trains = strip_plan::of(train.size(), across);
     int const q = item / across, t = item % across;
     if (q >= queries.used || t >= trains.used) { return; }
-    strip const mine{
-        query.row,
-        train.row,
-        queries.begin(q),
-        queries.end(q),
-        trains.begin(t),
-        trains.end(t),
-        work.of_query + static_cast<std::ptrdiff_t>(t) * work.queries,
-        mutual ? work.of_train + static_cast<std::ptrdiff_t>(q) * work.trains : nullptr};
+    strip_pair<D> const mine = strip_pair<D>::of(query, train, queries, trains, q, t, mutual, work);
     if constexpr (Group::max_threads == 1) {
       static_cast<void>(s);
       by_rows(mine);
+    } else if constexpr (has_shortlist<D>) {
+      shortlist_tiles<D>::compare(g, s, mine);
     } else {
       by_tiles(g, s, mine);
     }
@@ -121,16 +95,7 @@ private:
   using sum = typename reader::sum;
   using two = two_nearest_rows<distance_type>;
   using one = nearest_row<distance_type>;
-  using pairs = std::conditional_t<has_byte_products && is_of_bytes<D>, pairs_of_mma, pairs_apart>;
-
-  struct strip {
-    D const* query;
-    D const* train;
-    int first_query, last_query;  ///< the latter is past the strip
-    int first_train, last_train;
-    two* of_query;  ///< of this strip of train rows
-    one* of_train;  ///< of this strip of query rows; null = not asked for
-  };
+  using pairs = std::conditional_t<has_mma && is_of_bytes<D>, pairs_of_mma, pairs_apart>;
 
   // ---- the host
 
@@ -141,7 +106,7 @@ private:
     two best[match_own];
   };
 
-  FT_HOST_DEVICE static void by_rows(strip const& in) {
+  FT_HOST_DEVICE static void by_rows(strip_pair<D> const& in) {
     for (int j = in.first_train; in.of_train != nullptr && j < in.last_train; ++j) {
       in.of_train[j] = one::none();
     }
@@ -156,8 +121,8 @@ private:
       for (int r = 0; r < count; ++r) { in.of_query[i + r] = mine.best[r]; }
     }
   }
-  FT_HOST_DEVICE static void compare_row(strip const& in, rows_together& mine, int i, int count,
-                                         int j) {
+  FT_HOST_DEVICE static void compare_row(strip_pair<D> const& in, rows_together& mine, int i,
+                                         int count, int j) {
     part theirs[reader::parts];
     sum const own = read_row(in.train[j], theirs);
     // By name, so that they stay in registers.
@@ -190,7 +155,7 @@ private:
   // ---- a device
 
   template <typename Group>
-  FT_HOST_DEVICE static void by_tiles(Group g, scratch& s, strip const& in) {
+  FT_HOST_DEVICE static void by_tiles(Group g, scratch& s, strip_pair<D> const& in) {
     for (int q = in.first_query; q < in.last_query; q += match_side) {
       two best[pairs::rows];
       FT_UNROLL
@@ -219,7 +184,7 @@ private:
   }
   /// Merges what the threads of a query row found.
   template <typename Group>
-  FT_HOST_DEVICE static void keep_of_query(Group g, scratch& s, strip const& in, int q,
+  FT_HOST_DEVICE static void keep_of_query(Group g, scratch& s, strip_pair<D> const& in, int q,
                                            two (&best)[pairs::rows]) {
     bool const is_first = g.rank() % pairs::lanes == 0;
     int const share = pairs::share(g.rank());
@@ -239,7 +204,7 @@ private:
 
   /// Sums over all parts of the rows of a tile.
   template <typename Group>
-  FT_HOST_DEVICE static void add_tile(Group g, scratch& s, strip const& in, int q, int t,
+  FT_HOST_DEVICE static void add_tile(Group g, scratch& s, strip_pair<D> const& in, int q, int t,
                                       sum (&sums)[pairs::rows][pairs::columns]) {
     constexpr int each = scratch::each;
     sum own{};
@@ -332,8 +297,8 @@ private:
   }
   /// Merges what the train rows of a tile found into what they found in the tiles before.
   template <typename Group>
-  FT_HOST_DEVICE static void keep_of_train(Group g, scratch& s, strip const& in, int q, int t,
-                                           one const (&found)[pairs::columns]) {
+  FT_HOST_DEVICE static void keep_of_train(Group g, scratch& s, strip_pair<D> const& in, int q,
+                                           int t, one const (&found)[pairs::columns]) {
     FT_UNROLL
     for (int c = 0; c < pairs::columns; ++c) {
       s.of_train[pairs::line(g.rank())][pairs::column(g.rank(), c)] = found[c];

@@ -13,6 +13,7 @@
 
 #include "ft/descriptors/vector_descriptor.hpp"
 #include "ft/kernels/matching/detail/lower_bound.hpp"
+#include "ft/kernels/matching/detail/strips.hpp"
 #include "ft/kernels/matching/match_descriptors.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/descriptor_rows.hpp"
@@ -204,13 +205,15 @@ struct other_rules : ft::vector_descriptor<float, 128> {
   static constexpr ft::descriptor_rules<float> rules{0, 1e7f, 62500, 16, 25};
 };
 
+template <typename D>
+constexpr bool has_bound = ft::detail::products_by_mma<D> == ft::detail::products::of_numbers;
+
 TEST(LowerBound, IsThatOfDescriptorsThatKeepTheirDistances) {
-  using ft::detail::has_lower_bound;
-  EXPECT_TRUE((has_lower_bound<ft::vector_descriptor<float, 128>>));
-  EXPECT_TRUE((has_lower_bound<ft::vector_descriptor<ft::float16, 33, ft::dot_product>>));
-  EXPECT_TRUE(has_lower_bound<other_rules>);
-  EXPECT_FALSE(has_lower_bound<other_sums>);
-  EXPECT_FALSE((has_lower_bound<ft::vector_descriptor<std::int8_t, 128>>));
+  EXPECT_TRUE((has_bound<ft::vector_descriptor<float, 128>>));
+  EXPECT_TRUE((has_bound<ft::vector_descriptor<ft::float16, 33, ft::dot_product>>));
+  EXPECT_TRUE(has_bound<other_rules>);
+  EXPECT_FALSE(has_bound<other_sums>);
+  EXPECT_FALSE((has_bound<ft::vector_descriptor<std::int8_t, 128>>));
 }
 
 // ---- matches

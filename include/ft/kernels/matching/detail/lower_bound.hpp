@@ -126,35 +126,6 @@ private:
   }
 };
 
-template <typename T, int N, typename Metric>
-vector_descriptor<T, N, Metric> vector_base(vector_descriptor<T, N, Metric> const*);
-void vector_base(...);
-
-/// The vector_descriptor that a descriptor is or derives from, else void.
-template <typename D>
-using vector_base_of = decltype(vector_base(static_cast<D const*>(nullptr)));
-
-template <auto A, auto B>
-inline constexpr bool is_same_function =
-    std::is_same<std::integral_constant<decltype(A), A>,
-                 std::integral_constant<decltype(B), B>>::value;
-
-/// Whether distances of D are those of its vector_descriptor: nothing that they are made of is
-/// hidden by something else.
-template <typename D, typename Base, typename = void>
-inline constexpr bool keeps_distances = false;
-template <typename D, typename Base>
-inline constexpr bool keeps_distances<
-    D, Base, std::void_t<decltype(&D::part_of), decltype(&D::add), decltype(&D::distance_of)>> =
-    is_same_function<&D::part_of, &Base::part_of>&& is_same_function<&D::add, &Base::add>&&
-        is_same_function<&D::distance_of, &Base::distance_of>&& D::parts == Base::parts;
-
-template <typename D, typename Base = vector_base_of<D>>
-inline constexpr bool has_lower_bound = false;
-template <typename D, typename T, int N, typename Metric>
-inline constexpr bool has_lower_bound<D, vector_descriptor<T, N, Metric>> =
-    !is_int8<T> && keeps_distances<D, vector_descriptor<T, N, Metric>>;
-
 }  // namespace detail
 
 }  // namespace FT_ABI

@@ -41,9 +41,10 @@ struct pairs_apart {
   FT_HOST_DEVICE static int line(int rank) { return rank / 16; }
 };
 
-/// A row's sums are those of products of bytes.
+/// Whether tensor cores compute the sums of D, where there are some.
 template <typename D>
-inline constexpr bool is_of_bytes = std::is_same<typename row_parts<D>::part, four_words>::value;
+inline constexpr bool has_exact_products =
+    products_by_mma<D> == products::of_bits || products_by_mma<D> == products::of_bytes;
 
 template <typename D>
 struct match_scratch {
@@ -54,10 +55,10 @@ struct match_scratch {
       min_of(reader::parts, max_of(static_cast<int>(128 / sizeof(part)), 1));
 
   part rows[2][each][match_side + 1];  ///< one more, against conflicts of banks
-  typename reader::sum own[2][reader::uses_own_sums ? match_side : 1];
-  two_nearest_rows<descriptor_distance<D>> best[is_of_bytes<D> ? match_side : 1];
+  typename reader::sum own[2][reader::uses_own_sums || has_exact_products<D> ? match_side : 1];
+  two_nearest_rows<descriptor_distance<D>> best[has_exact_products<D> ? match_side : 1];
   nearest_row<descriptor_distance<D>>
-      of_train[is_of_bytes<D> ? pairs_of_mma::lines : pairs_apart::lines][match_side + 4];
+      of_train[has_exact_products<D> ? pairs_of_mma::lines : pairs_apart::lines][match_side + 4];
 };
 
 /// Item: a strip of query rows and a strip of train rows.
@@ -95,7 +96,10 @@ private:
   using sum = typename reader::sum;
   using two = two_nearest_rows<distance_type>;
   using one = nearest_row<distance_type>;
-  using pairs = std::conditional_t<has_mma && is_of_bytes<D>, pairs_of_mma, pairs_apart>;
+  using pairs = std::conditional_t<has_mma && has_exact_products<D>, pairs_of_mma, pairs_apart>;
+  /// Bits that differ are those that are set in one row, and in the other, but not in both.
+  static constexpr bool counts_bits = has_mma && products_by_mma<D> == products::of_bits;
+  static constexpr bool uses_own_sums = reader::uses_own_sums || counts_bits;
 
   // ---- the host
 
@@ -171,8 +175,8 @@ private:
           FT_UNROLL
           for (int r = 0; r < pairs::rows; ++r) {
             int const i = q + pairs::row(g.rank(), r);
-            distance_type const d = usable_distance(
-                reader::distance_of(sums[r][c], own_sum(s, 0, i - q), own_sum(s, 1, j - t)));
+            distance_type const d =
+                distance_of(sums[r][c], own_sum(s, 0, i - q), own_sum(s, 1, j - t));
             best[r].add(j < in.last_train ? d : no_distance<distance_type>, j);
             of_train[c].add(i < in.last_query ? d : no_distance<distance_type>, i);
           }
@@ -180,6 +184,13 @@ private:
         if (in.of_train != nullptr) { keep_of_train(g, s, in, q, t, of_train); }
       }
       keep_of_query(g, s, in, q, best);
+    }
+  }
+  FT_HOST_DEVICE static distance_type distance_of(sum const& ab, sum const& aa, sum const& bb) {
+    if constexpr (counts_bits) {
+      return aa + bb - 2 * ab;
+    } else {
+      return usable_distance(reader::distance_of(ab, aa, bb));
     }
   }
   /// Merges what the threads of a query row found.
@@ -214,19 +225,21 @@ private:
       load(g, s.rows[1], in.train + t, in.last_train - t, first);
       g.sync();
       int const n = reader::parts % each == 0 ? each : min_of(each, reader::parts - first);
-      if constexpr (reader::uses_own_sums) {
+      if constexpr (uses_own_sums) {
         for (int p = 0; p < n && g.rank() < 2 * match_side; ++p) {
           part const& mine = s.rows[g.rank() / match_side][p][g.rank() % match_side];
-          reader::add(own, mine, mine);
+          reader::add(own, mine, counts_bits ? part{} : mine);
         }
       }
-      if constexpr (std::is_same<pairs, pairs_of_mma>::value) {
+      if constexpr (counts_bits) {
+        for (int p = 0; p < n; ++p) { multiply_bits(g, s, p, sums); }
+      } else if constexpr (std::is_same<pairs, pairs_of_mma>::value) {
         for (int p = 0; p < n; p += 2) { multiply_bytes(g, s, p, p + 1 < n, sums); }
       } else {
         for (int p = 0; p < n; ++p) { add_part(g, s, p, sums); }
       }
     }
-    if constexpr (reader::uses_own_sums) {
+    if constexpr (uses_own_sums) {
       if (g.rank() < 2 * match_side) { s.own[g.rank() / match_side][g.rank() % match_side] = own; }
       g.sync();
     }
@@ -272,6 +285,41 @@ private:
 #endif
     }
   }
+  /// The bits that both have in a part of all rows, 128 or 256 of them: m16n8k128 and m16n8k256,
+  /// .b1.
+  template <typename Group>
+  FT_HOST_DEVICE static void multiply_bits(Group g, scratch const& s, int p,
+                                           sum (&sums)[pairs::rows][pairs::columns]) {
+    constexpr bool wide = sizeof(part) == 32;
+    constexpr int second = wide ? 4 : 0;  // of the words of a part that a thread has
+    int const row = pairs::row(g.rank(), 0), word = g.rank() % 4;
+    part const& upper = s.rows[0][p][row];
+    part const& lower = s.rows[0][p][row + 8];
+    std::uint32_t const a[4] = {upper.words[word], lower.words[word], upper.words[word + second],
+                                lower.words[word + second]};
+    FT_UNROLL
+    for (int c = 0; c < pairs::columns; c += 2) {
+      part const& theirs = s.rows[1][p][pairs::share(g.rank()) * 32 + c * 4 + g.rank() % 32 / 4];
+      std::uint32_t const b[2] = {theirs.words[word], theirs.words[word + second]};
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+      if constexpr (wide) {
+        asm volatile(
+            "mma.sync.aligned.m16n8k256.row.col.s32.b1.b1.s32.and.popc "
+            "{%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, %3};"
+            : "+r"(sums[0][c]), "+r"(sums[0][c + 1]), "+r"(sums[1][c]), "+r"(sums[1][c + 1])
+            : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b[0]), "r"(b[1]));
+      } else {
+        asm volatile(
+            "mma.sync.aligned.m16n8k128.row.col.s32.b1.b1.s32.and.popc "
+            "{%0, %1, %2, %3}, {%4, %5}, {%6}, {%0, %1, %2, %3};"
+            : "+r"(sums[0][c]), "+r"(sums[0][c + 1]), "+r"(sums[1][c]), "+r"(sums[1][c + 1])
+            : "r"(a[0]), "r"(a[1]), "r"(b[0]));
+      }
+#else
+      static_cast<void>(a), static_cast<void>(b), static_cast<void>(sums);
+#endif
+    }
+  }
   /// Parts of 64 rows; instead of rows that are not there, the last one.
   template <typename Group>
   FT_HOST_DEVICE static void load(Group g, part (&to)[scratch::each][match_side + 1], D const* rows,
@@ -286,7 +334,7 @@ private:
     }
   }
   FT_HOST_DEVICE static sum own_sum(scratch const& s, int of, int row) {
-    if constexpr (reader::uses_own_sums) {
+    if constexpr (uses_own_sums) {
       return s.own[of][row];
     } else {
       static_cast<void>(s);

@@ -96,7 +96,7 @@ struct shortlist_tiles {
 private:
   using reader = row_parts<D>;
   using pairs = pairs_of_mma;
-  using limit = lower_bound<D, vector_base_of<D>>;
+  using limit = lower_bound<D, base_model_of<D>>;
   /// Threads that load a row together, and the parts of a row that lie in shared memory.
   static constexpr int loaders = match_threads / match_side;
   static constexpr int each_parts = shortlist_scratch::each / 4;

@@ -3,10 +3,12 @@
 #pragma once
 
 #include <cstddef>
+#include <type_traits>
 
 #include "ft/core/config.hpp"
+#include "ft/descriptors/binary_descriptor.hpp"
 #include "ft/descriptors/descriptor_model.hpp"
-#include "ft/kernels/matching/detail/lower_bound.hpp"
+#include "ft/descriptors/vector_descriptor.hpp"
 #include "ft/kernels/matching/match_types.hpp"
 
 namespace ft {
@@ -22,10 +24,52 @@ inline constexpr bool has_mma = true;
 inline constexpr bool has_mma = false;
 #endif
 
+// ---- whose products tensor cores may compute
+
+/// ft's model that a descriptor is or derives from, else void.
+template <int Bits>
+binary_descriptor<Bits> base_model(binary_descriptor<Bits> const*);
+template <typename T, int N, typename Metric>
+vector_descriptor<T, N, Metric> base_model(vector_descriptor<T, N, Metric> const*);
+void base_model(...);
+template <typename D>
+using base_model_of = decltype(base_model(static_cast<D const*>(nullptr)));
+
+template <auto A, auto B>
+inline constexpr bool is_same_function =
+    std::is_same<std::integral_constant<decltype(A), A>,
+                 std::integral_constant<decltype(B), B>>::value;
+
+/// Whether distances of D are those of the model: nothing that they are made of is hidden by
+/// something else.
+template <typename D, typename Base, typename = void>
+inline constexpr bool keeps_distances = false;
+template <typename D, typename Base>
+inline constexpr bool keeps_distances<
+    D, Base, std::void_t<decltype(&D::part_of), decltype(&D::add), decltype(&D::distance_of)>> =
+    is_same_function<&D::part_of, &Base::part_of>&& is_same_function<&D::add, &Base::add>&&
+        is_same_function<&D::distance_of, &Base::distance_of>&& D::parts == Base::parts;
+
+enum class products { none, of_bits, of_bytes, of_numbers };
+
+template <typename D, typename Base>
+inline constexpr products products_of = products::none;
+template <typename D, int Bits>
+inline constexpr products products_of<D, binary_descriptor<Bits>> =
+    keeps_distances<D, binary_descriptor<Bits>> ? products::of_bits : products::none;
+template <typename D, typename T, int N, typename Metric>
+inline constexpr products products_of<D, vector_descriptor<T, N, Metric>> =
+    !keeps_distances<D, vector_descriptor<T, N, Metric>> ? products::none
+    : is_int8<T>                                         ? products::of_bytes
+                                                         : products::of_numbers;
+/// What tensor cores multiply where there are some: bits and bytes exactly, numbers for a bound.
+template <typename D>
+inline constexpr products products_by_mma = products_of<D, base_model_of<D>>;
+
 /// Whether this executor compares rows by a shortlist. All kernels of a program that run on one
 /// device are compiled for the same architecture.
 template <typename D>
-inline constexpr bool has_shortlist = has_mma&& has_lower_bound<D>;
+inline constexpr bool has_shortlist = has_mma&& products_by_mma<D> == products::of_numbers;
 
 /// Pairs of a tile that a thread compares: those that it holds of the products of the PTX
 /// instructions mma.m16n8. A warp compares 16 query rows with 4 times 8 train rows, and two warps

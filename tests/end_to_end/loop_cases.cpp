@@ -2,10 +2,11 @@
 // Loops where they must not be closed, starts in a loaded map, and times beside large maps, on
 // rendered walls. On a GPU where nvcc compiles it (-x cu), else on the host. Rows of JSON; what was
 // not as wanted goes to stderr, one line each.
-//   loop_cases check                            a few: fails with a wrong loop, or a start not
-//   found loop_cases trials COUNT JOBS                a third each: facades, rooms alike, lost
-//   cameras loop_cases starts COUNT JOBS loop_cases flat FRAMES MS KEYFRAMES...      a frame each
-//   MS milliseconds; 0 keyframes: no loops
+//
+//     loop_cases check                       a few: fails with a wrong loop, or a start not found
+//     loop_cases trials COUNT JOBS [KIND]    of kinds 0, 1 a third each, of 2, 3 a sixth; or of one
+//     loop_cases starts COUNT JOBS
+//     loop_cases flat FRAMES MS KEYFRAMES... a frame each MS milliseconds; 0: without loops
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
@@ -50,8 +51,8 @@ int main(int argc, char** argv) {
     }
     if (argc < 4) { return usage(); }
     int const count = std::atoi(argv[2]), jobs = std::atoi(argv[3]);
-    if (what == "trials" && argc == 4) {
-      loop_cases::run_trials(count, jobs, executor_maker());
+    if (what == "trials" && argc <= 5) {
+      loop_cases::run_trials(count, jobs, executor_maker(), argc == 5 ? std::atoi(argv[4]) : -1);
     } else if (what == "starts" && argc == 4) {
       loop_cases::run_starts(count, jobs, executor_maker());
     } else if (what == "flat" && argc > 4) {

@@ -21,7 +21,8 @@ enum class trial_kind {
   facade,       ///< that repeats: to and fro
   rooms_alike,  ///< a stretch and its twin 8 to 11 m away: to and fro
   lost,         ///< a wall that does not repeat: to, black images, then somewhere in what was seen
-  lost_alike    ///< the same before a facade that repeats: the places cannot be told apart
+  lost_alike  ///< past a stretch and its twin, black images, then in one of them: which one cannot
+              ///< be told
 };
 constexpr char const* name_of[] = {"facade that repeats", "rooms alike", "lost and found",
                                    "lost, not to be told apart"};
@@ -40,18 +41,21 @@ inline trial make_trial(trial_kind kind, unsigned seed) {
   };
   trial t;
   t.scene.seed = static_cast<unsigned>(random());
-  bool const repeats = kind == trial_kind::facade || kind == trial_kind::lost_alike;
-  if (repeats) { t.scene.repeats = any(1.5, 4); }
-  double length = 8;
-  if (kind == trial_kind::rooms_alike) {
+  double begin = 0, end = 8;
+  if (kind == trial_kind::facade) { t.scene.repeats = any(1.5, 4); }
+  if (kind == trial_kind::rooms_alike || kind == trial_kind::lost_alike) {
     t.scene.alike_after = any(8, 11);
     t.scene.alike_begin = -4;
     t.scene.alike_end = 4;
-    length = t.scene.alike_after + 1;
+    end = t.scene.alike_after + 1;
+  }
+  if (kind == trial_kind::lost_alike) {
+    begin = -1.5;
+    end = t.scene.alike_after + 9;
   }
   double const step = any(0.08, 0.12);
-  int const there = static_cast<int>(length / step);
-  for (int i = 0; i < there; ++i) { t.places.push_back(camera_at(step * i, 0, 0, {})); }
+  int const there = static_cast<int>((end - begin) / step);
+  for (int i = 0; i < there; ++i) { t.places.push_back(camera_at(begin + step * i, 0, 0, {})); }
   // What is seen again is seen from elsewhere.
   double const z = any(-0.3, 0.3), yaw = any(-0.1, 0.1);
   if (kind == trial_kind::facade || kind == trial_kind::rooms_alike) {
@@ -60,15 +64,16 @@ inline trial make_trial(trial_kind kind, unsigned seed) {
       t.places.push_back(camera_at(step * (there - 1 - i), 0, share * z, {0, share * yaw, 0}));
     }
     t.revisit_from = there + there / 2;
-  } else {
-    t.black_from = there;
-    t.black_to = there + 8;
-    for (int i = there; i < t.black_to; ++i) { t.places.push_back(t.places.back()); }
-    double const begin = any(0, length - 4);
-    for (int i = 0; i < 40; ++i) {
-      t.places.push_back(camera_at(begin + step * i, 0, z, {0, yaw, 0}));
-    }
-    t.revisit_from = t.black_to;
+    return t;
+  }
+  t.black_from = there;
+  t.revisit_from = t.black_to = there + 8;
+  for (int i = there; i < t.black_to; ++i) { t.places.push_back(t.places.back()); }
+  bool const alike = kind == trial_kind::lost_alike;
+  double const twin = alike && random() % 2 == 0 ? t.scene.alike_after : 0;
+  double const first = alike ? twin - 1.2 : any(0, 4);
+  for (int i = 0; i < (alike ? 20 : 40); ++i) {
+    t.places.push_back(camera_at(first + step * i, 0, z, {0, yaw, 0}));
   }
   return t;
 }
@@ -129,11 +134,13 @@ trial_result run_trial(Exec const& exec, trial const& t) {
   return r;
 }
 
-/// Prints a row of each kind. @param count trials in all @return wrong loops
+/// Prints a row of each kind. @param count trials in all @param only this kind, or -1
+/// @return wrong loops
 template <typename MakeExec>
-int run_trials(int count, int jobs, MakeExec const& make_exec) {
+int run_trials(int count, int jobs, MakeExec const& make_exec, int only = -1) {
   int all_wrong = 0;
   for (int kind = 0; kind < 4; ++kind) {
+    if (only >= 0 && only != kind) { continue; }
     int const n = count / 3 / (kind < 2 ? 1 : 2);
     std::vector<trial_result> results(static_cast<std::size_t>(n));
     in_parallel(n, jobs, make_exec, [&](auto const& exec, int i) {

@@ -93,11 +93,19 @@ struct loop_search {
     Exec const& exec = where->on(threads);
     int const candidates = vote(exec);
     if (candidates == 0) { return; }
-    for (auto const& group : choose(candidates)) { close(exec, group); }
+    std::vector<verified_loop> found;
+    for (auto const& group : choose(candidates)) { verify(exec, group, found); }
+    for (verified_loop const& f : found) {
+      if (is_told_apart(f, found)) { close(f.loop); }
+    }
     if (closed > 0) { path.optimize(threads); }
   }
 
 private:
+  struct verified_loop {
+    path_loop loop;
+    int inliers;
+  };
   int query() const { return path.size() - 1; }
 
   /// Votes for the keyframes that are not among the newest ones of their part. @return their number
@@ -115,7 +123,8 @@ private:
     return n;
   }
 
-  /// The keyframes with most votes together with their neighbours; the first one of equals.
+  /// The keyframes with most votes together with their neighbours; the first one of equals. Of a
+  /// map that is not joined yet two more, which may be places that look the same.
   std::vector<std::vector<int>> choose(int n) const {
     int const* const votes = staging_->votes;
     std::vector<int> sums(static_cast<std::size_t>(n));
@@ -124,7 +133,8 @@ private:
       for (int const k : neighbours(i, n)) { sums[static_cast<std::size_t>(i)] += votes[k]; }
     }
     std::vector<std::vector<int>> groups;
-    while (static_cast<int>(groups.size()) < params.groups) {
+    int const most_groups = params.groups + (path.at(query()).part == path.at(0).part ? 0 : 2);
+    while (static_cast<int>(groups.size()) < most_groups) {
       auto const most = std::max_element(sums.begin(), sums.end());
       if (*most == 0) { break; }
       int const i = static_cast<int>(most - sums.begin());
@@ -145,8 +155,8 @@ private:
     return all;
   }
 
-  /// Adds the loops to a group of keyframes that two of them agree on.
-  void close(Exec const& exec, std::vector<int> const& group) {
+  /// Adds the loop to a group of keyframes that two of them agree on, if there is one.
+  void verify(Exec const& exec, std::vector<int> const& group, std::vector<verified_loop>& to) {
     memory const& m = memory_.view();
     staging const& s = staging_.view();
     int const n = static_cast<int>(group.size());
@@ -178,13 +188,25 @@ private:
         inliers.push_back(found.inliers);
       }
     }
-    path_loop const* const best = best_agreed(loops, inliers);
-    if (best == nullptr) { return; }
-    if (path.at(best->from).part == path.at(query()).part) {
-      path.loops.push_back(*best);
+    std::size_t const best = best_agreed(loops, inliers);
+    if (best < loops.size()) { to.push_back({loops[best], inliers[best]}); }
+  }
+  /// Whether no other place looks as much like that of a loop.
+  bool is_told_apart(verified_loop const& f, std::vector<verified_loop> const& all) const {
+    for (verified_loop const& other : all) {
+      if (2 * other.inliers > f.inliers &&
+          path.contradict(f.loop, other.loop, params, baseline())) {
+        return false;
+      }
+    }
+    return true;
+  }
+  void close(path_loop const& loop) {
+    if (path.at(loop.from).part != path.at(query()).part) {
+      closed += path.join(loop);
+    } else if (path.fits(loop, params, baseline())) {  // also after the join by another one
+      path.loops.push_back(loop);
       ++closed;
-    } else {
-      closed += path.join(*best);
     }
   }
   /// The scale of a loop, and its information in units of the keyframe that it leads to.
@@ -202,9 +224,10 @@ private:
   double baseline() const {
     return is_monocular_v<Rig> ? 0.0 : static_cast<double>(rig.baseline_length().value);
   }
-  /// Of the loops that another one agrees with, that of most inliers; null if there is none.
-  path_loop const* best_agreed(std::vector<path_loop> const& loops,
-                               std::vector<int> const& inliers) const {
+  /// Of the loops that another one agrees with, that of most inliers; their number if there is
+  /// none.
+  std::size_t best_agreed(std::vector<path_loop> const& loops,
+                          std::vector<int> const& inliers) const {
     std::size_t best = loops.size();
     for (std::size_t a = 0; a < loops.size(); ++a) {
       bool agreed = false;
@@ -213,7 +236,7 @@ private:
       }
       if (agreed && (best == loops.size() || inliers[a] > inliers[best])) { best = a; }
     }
-    return best < loops.size() ? &loops[best] : nullptr;
+    return best;
   }
 };
 

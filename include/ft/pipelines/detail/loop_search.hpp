@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -123,8 +124,10 @@ private:
     return n;
   }
 
-  /// The keyframes with most votes together with their neighbours; the first one of equals. Of a
-  /// map that is not joined yet two more, which may be places that look the same.
+  /// The keyframes with most votes together with their neighbours, the first one of equals; then,
+  /// in the part of the query, the nearest by the path of those with at least half as many, for
+  /// where places look the same that is the one. Of a map that is not joined yet two more, which
+  /// may be places that look the same.
   std::vector<std::vector<int>> choose(int n) const {
     int const* const votes = staging_->votes;
     std::vector<int> sums(static_cast<std::size_t>(n));
@@ -133,17 +136,39 @@ private:
       for (int const k : neighbours(i, n)) { sums[static_cast<std::size_t>(i)] += votes[k]; }
     }
     std::vector<std::vector<int>> groups;
+    int enough = 0;
     int const most_groups = params.groups + (path.at(query()).part == path.at(0).part ? 0 : 2);
     while (static_cast<int>(groups.size()) < most_groups) {
       auto const most = std::max_element(sums.begin(), sums.end());
       if (*most == 0) { break; }
-      int const i = static_cast<int>(most - sums.begin());
+      int i = static_cast<int>(most - sums.begin());
+      if (groups.empty()) {
+        enough = (*most + 1) / 2;
+      } else {
+        i = nearest(sums, enough, i);
+      }
       groups.push_back(neighbours(i, n));
       for (int k = std::max(i - 2, 0); k <= std::min(i + 2, n - 1); ++k) {
         sums[static_cast<std::size_t>(k)] = 0;
       }
     }
     return groups;
+  }
+
+  /// Of the keyframes of the query's part that have enough votes the nearest one; i if there is
+  /// none.
+  int nearest(std::vector<int> const& sums, int enough, int i) const {
+    path_keyframe const& from = path.at(query());
+    double least = std::numeric_limits<double>::infinity();
+    for (int k = 0; k < static_cast<int>(sums.size()); ++k) {
+      if (sums[static_cast<std::size_t>(k)] < enough || path.at(k).part != from.part) { continue; }
+      auto const off = path.at(k).T_world_camera.t - from.T_world_camera.t;
+      if (dot(off, off) < least) {
+        least = dot(off, off);
+        i = k;
+      }
+    }
+    return i;
   }
 
   /// Keyframe i of the first n and those beside it that are of its part.

@@ -126,6 +126,11 @@ trial_result run_trial(Exec const& exec, trial const& t) {
     auto const from = t.places[image_of(l.from)], to = t.places[image_of(l.to)];
     auto const off = (from.inverse() * to).t - l.T_from_to.t;
     bool const wrong = std::sqrt(ft::dot(off, off)) > 0.2;
+    if (wrong) {
+      auto const apart = (from.inverse() * to).t;
+      std::fprintf(stderr, "  image %zu to %zu, %.2f m apart: off by %.2f m\n", image_of(l.from),
+                   image_of(l.to), std::sqrt(ft::dot(apart, apart)), std::sqrt(ft::dot(off, off)));
+    }
     ++r.loops;
     r.wrong += static_cast<int>(wrong);
     r.revisits += static_cast<int>(!wrong && static_cast<int>(image_of(l.to)) >= t.revisit_from);

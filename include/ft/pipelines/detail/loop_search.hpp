@@ -56,6 +56,7 @@ struct loop_search {
   loop_archive_view archive;
   std::unique_ptr<loop_executor<Exec>> where = std::make_unique<loop_executor<Exec>>();
   loop_path path;           ///< in and out
+  loop_path corrected;      ///< a copy of its keyframes and loops, where the last run closed one
   bool joins_only = false;  ///< looks for keyframes of other parts alone
   int closed = 0;           ///< loops that the last run added
   struct memory {
@@ -86,6 +87,7 @@ struct loop_search {
       c.place({most}, s.found);
     });
     path.reserve(archive.rows, params.groups);
+    corrected.reserve(archive.rows, params.groups);
   }
 
   /// Called on a thread of its own.
@@ -99,7 +101,10 @@ struct loop_search {
     for (verified_loop const& f : found) {
       if (is_told_apart(f, found)) { close(f.loop); }
     }
-    if (closed > 0) { path.optimize(threads); }
+    if (closed == 0) { return; }
+    path.optimize(threads);
+    corrected.keyframes = path.keyframes;
+    corrected.loops = path.loops;
   }
 
 private:

@@ -22,6 +22,12 @@ def load(name):
     return {**record, "gpu": "", **record.get("machine", {}), **record.get("settings", {}), **record.get("tables", {})}
 
 
+def tables_of(name, table):
+    """All tables of a name in a file, the newest record last: (the record, its rows)."""
+    records = json.loads((RESULTS / name).read_text())["records"]
+    return [(r, r["tables"][table]) for r in records if table in r.get("tables", {})]
+
+
 def frame_results():
     """Of ft_bench; measured once, of the first executor in the file."""
     bench = load("frame_h200.json")
@@ -295,6 +301,35 @@ def places():
     return lines
 
 
+LOOPS = "loops_cases_h100.json"
+
+
+def loop_trials():
+    record, rows = tables_of(LOOPS, "trials")[-1]
+    lines = [f"Commit {record['commit']}.", "", "| walls | trials | loops | wrong | revisits found |", "|---|---:|---:|---:|---:|"]
+    return lines + [f"| {r['what']} | {r['trials']} | {r['loops']} | {r['wrong_loops']} | {r['revisits_found']} |" for r in rows]
+
+
+def beside_keyframes():
+    record, rows = tables_of(LOOPS, "flat")[-1]
+    lines = [f"Commit {record['commit']}.", "", "| keyframes for loops | p50, us | p99, us | most, us | device, MB |", "|---:|---:|---:|---:|---:|"]
+    return lines + [f"| {r['keyframes'] or 'without loops'} | {r['p50_us']:.0f} | {r['p99_us']:.0f} | {r['max_us']:.0f} | {r['device_mb']:.0f} |" for r in rows]
+
+
+def beside_ceres():
+    lines = ["| problem | commit | H100, ms | Ceres, ms | times as fast |", "|---|---|---:|---:|---:|"]
+    for record, rows in tables_of(LOOPS, "graphs")[-1:]:
+        for r in rows:
+            theirs = r.get("ceres_within_1e-6_ms")
+            end = f"{theirs:.0f} | {theirs / r['median_ms']:.0f}" if theirs else " | "
+            lines.append(f"| pose graph {r['graph']}, {r['poses']} poses | {record['commit']} | {r['median_ms']:.1f} | {end} |")
+    for record, rows in tables_of(LOOPS, "maps")[-1:]:
+        for r in rows:
+            what = f"map, {r['views']} views, {r['points']} points" + (f", {100 * r['outliers']:.0f} % outliers" if r["outliers"] else "")
+            lines.append(f"| {what} | {record['commit']} | {r['median_ms']:.1f} | {r['ceres_ms']:.0f} | {r['ceres_ms'] / r['median_ms']:.0f} |")
+    return lines
+
+
 def scenario_rows():
     """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
     try:
@@ -355,6 +390,7 @@ TABLES = {
     "docs/scenarios.md": {"scenarios": scenario_rows, "beside cuVSLAM": beside_cuvslam},
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
+        "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,
     },
     "bench/results/README.md": {
         "frames": frames,

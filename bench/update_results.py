@@ -381,13 +381,56 @@ def beside_cuvslam():
     return lines
 
 
+def wanted():
+    """Of wanted.json: each case as it was, as it is wanted, and as another file says it is."""
+    files = {}
+    lines = ["| case | at 5c02885 | wanted | today | rows as wanted |", "|---|---|---|---:|---:|"]
+    section = ""
+    for case in load("wanted.json")["rows"]:
+        if case["section"] != section:
+            section = case["section"]
+            lines.append(f"| **{section}** | | | | |")
+        name = case["from"]
+        if name not in files:
+            records = json.loads((RESULTS / name).read_text())["records"]
+            files[name] = [row for record in records for row in record["tables"]["rows"]]
+        keys = [k for k in ("scenario", "recording", "every") if k in case]
+        rows = [r for r in files[name] if all(r.get(k) == case[k] for k in keys)]
+        values = [figure_of(r, case["figure"]) for r in rows]
+        good = sum(v is not None and case.get("least", v) <= v <= case.get("most", v) for v in values)
+        known = [v for v in values if v is not None]
+        cells = [case["case"], case["before"], case["wanted"], said_of(known, case["figure"]), f"{good} of {len(rows)}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def figure_of(row, name):
+    if name == "ft.keyframe_share":
+        return row["ft.keyframes"] / row["ft.frames"]
+    return row.get(name)
+
+
+def said_of(values, figure):
+    """The median, and where there are several, the least and the largest."""
+    if not values:
+        return "not measured"
+    length = figure.endswith("_m")
+    scale, unit = (1000, " mm") if length else (100, " %") if figure.endswith("share") or figure in SHARES else (1, "")
+    digits = 0 if figure == "silent" else 1 if unit else 2
+    text = [f"{scale * v:.{digits}f}" for v in (statistics.median(values), min(values), max(values))]
+    return f"{text[0]}{unit}" + (f" ({text[1]} to {text[2]})" if text[1] != text[2] else "")
+
+
+SHARES = ("contained", "imu_used", "jumps_right")
+
+
 def median_mm(lengths):
     known = [v for v in lengths if v is not None]
     return f"{1000 * statistics.median(known):.1f}" if known else ""
 
 
 TABLES = {
-    "docs/scenarios.md": {"scenarios": scenario_rows, "beside cuVSLAM": beside_cuvslam},
+    "docs/scenarios.md": {"scenarios": scenario_rows, "wanted": wanted, "beside cuVSLAM": beside_cuvslam},
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
         "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,

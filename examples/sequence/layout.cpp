@@ -14,7 +14,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp"};
+constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg", ".pgm",
+                                            ".ppm", ".bmp", ".tiff", ".tif"};
 
 std::vector<std::int64_t> times_of(std::vector<listed_image> const& list) {
   std::vector<std::int64_t> times;

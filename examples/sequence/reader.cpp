@@ -65,6 +65,12 @@ image read_checked(std::string const& path, camera_intrinsics const& camera, int
   return picture;
 }
 
+image black(camera_intrinsics const& camera) {
+  auto const pixels =
+      static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+  return {camera.width, camera.height, std::vector<std::uint8_t>(pixels)};
+}
+
 depth_image read_checked_depth(std::string const& path, camera_intrinsics const& camera) {
   depth_image depth = read_depth_image(path);
   if (depth.width != camera.width || depth.height != camera.height) {
@@ -237,7 +243,9 @@ void sequence::impl::set_image_bits(open_options const& options) {
     std::vector<std::string> files = frames[i].more;
     files.push_back(frames[i].left);
     if (kind == camera_kind::stereo) { files.push_back(frames[i].second); }
-    for (std::string const& file : files) { most = std::max(most, read_image_bits(file)); }
+    for (std::string const& file : files) {
+      if (!file.empty()) { most = std::max(most, read_image_bits(file)); }
+    }
     if (most == 0 || most == 16) { return; }
   }
   image_bits = most;
@@ -334,8 +342,10 @@ stereo_frame sequence::load(int i) const {
     frame.right = read_checked(files.second, impl_->raw.right, impl_->image_bits);
     if (rectify) { frame.right = rectify->right(frame.right); }
     for (std::size_t k = 0; k < files.more.size(); ++k) {
-      frame.more.push_back(
-          read_checked(files.more[k], impl_->raw.more[k].camera, impl_->image_bits));
+      camera_intrinsics const& camera = impl_->raw.more[k].camera;
+      frame.more.push_back(files.more[k].empty()
+                               ? black(camera)
+                               : read_checked(files.more[k], camera, impl_->image_bits));
     }
   } else if (impl_->kind == camera_kind::rgbd) {
     frame.depth = read_checked_depth(files.second, impl_->raw.left);

@@ -46,8 +46,12 @@ calibration read_camera_txt(std::string const& path, int width, int height, came
     if (found) { fail_at(path, line.number, "a second camera; one line of numbers is expected"); }
     found = true;
     std::vector<double> values;
-    for (std::string const& word : split(line.text, " \t,", true)) {
-      values.push_back(finite_number(word, path, line.number));
+    try {
+      for (std::string const& word : split(line.text, " \t,", true)) {
+        values.push_back(finite_number(word, path, line.number));
+      }
+    } catch (error const& e) {
+      throw error(std::string(e.what()) + "; must be fx fy cx cy [k1 k2 p1 p2 [k3 [k4 k5 k6]]]");
     }
     std::size_t const n = values.size();
     if (n != 4 && n != 8 && n != 9 && n != 12) {

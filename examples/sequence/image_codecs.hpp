@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file PNG, JPEG, PGM, PPM and BMP in memory. Not API: image_io.cpp reads and writes files with
-/// it.
+/// @file PNG, JPEG, PGM, PPM, BMP and TIFF in memory. Not API: image_io.cpp reads and writes files
+/// with it.
 #pragma once
 
 #include <cstdint>
@@ -18,12 +18,23 @@ bool is_png(std::vector<std::uint8_t> const& bytes);
 bool is_jpeg(std::vector<std::uint8_t> const& bytes);
 bool is_pnm(std::vector<std::uint8_t> const& bytes);  ///< binary PGM or PPM
 bool is_bmp(std::vector<std::uint8_t> const& bytes);
+bool is_tiff(std::vector<std::uint8_t> const& bytes);
+/// A PNG of one channel with 16 bits, alpha aside.
+bool is_png_of_16_bits(std::vector<std::uint8_t> const& bytes);
 
 /// The picture as 8-bit grey. @param path named by errors @throws seq::error
 image read_png(std::string const& path, std::vector<std::uint8_t> const& bytes);
 image read_jpeg(std::string const& path, std::vector<std::uint8_t> const& bytes);
 image read_pnm(std::string const& path, std::vector<std::uint8_t> const& bytes);
 image read_bmp(std::string const& path, std::vector<std::uint8_t> const& bytes);
+image read_tiff(std::string const& path, std::vector<std::uint8_t> const& bytes);
+
+/// Samples of a TIFF as they are, row-major, those of a pixel side by side; black is 0.
+struct tiff_samples {
+  int width = 0, height = 0, channels = 1, bits = 8;
+  std::vector<std::uint16_t> values;
+};
+tiff_samples read_tiff_samples(std::string const& path, std::vector<std::uint8_t> const& bytes);
 
 /// A picture of one channel with 16 bits. @throws seq::error also for any other
 depth_image read_png_depth(std::string const& path, std::vector<std::uint8_t> const& bytes);
@@ -38,6 +49,8 @@ void read_pnm_size(std::string const& path, std::vector<std::uint8_t> const& byt
                    int& height);
 void read_bmp_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
                    int& height);
+void read_tiff_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
+                    int& height);
 
 /// @param name named by errors @throws seq::error
 std::vector<std::uint8_t> write_png(std::string const& name, image const& picture, int compression);

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/sequence/image_io.hpp"
 
+#include <algorithm>
 #include <cerrno>
 #include <cstddef>
 #include <cstdio>
 #include <cstring>
 #include <memory>
+#include <utility>
 
 #include "examples/sequence/image_codecs.hpp"
 
@@ -84,24 +86,62 @@ void write_file(std::string const& path, std::vector<std::uint8_t> const& bytes)
 }
 
 [[noreturn]] void fail_unknown(std::string const& path, std::vector<std::uint8_t> const& bytes) {
-  fail(path, bytes.empty() ? "empty file" : "neither PNG, JPEG, binary PGM or PPM, nor BMP");
+  fail(path, bytes.empty() ? "empty file" : "neither PNG, JPEG, binary PGM or PPM, BMP, nor TIFF");
+}
+
+/// The samples of a PNG or TIFF of one channel with 16 bits. False for any other image.
+bool read_16_bits(std::string const& path, std::vector<std::uint8_t> const& bytes,
+                  depth_image& out) {
+  if (detail::is_png_of_16_bits(bytes)) {
+    out = detail::read_png_depth(path, bytes);
+    return true;
+  }
+  if (!detail::is_tiff(bytes)) { return false; }
+  detail::tiff_samples samples = detail::read_tiff_samples(path, bytes);
+  if (samples.bits != 16 || samples.channels != 1) { return false; }
+  out = {samples.width, samples.height, std::move(samples.values)};
+  return true;
+}
+
+image high_bits(depth_image const& samples, int bits) {
+  image out{samples.width, samples.height, {}};
+  out.pixels.reserve(samples.pixels.size());
+  for (std::uint16_t const value : samples.pixels) {
+    out.pixels.push_back(static_cast<std::uint8_t>(std::min(value >> (bits - 8), 255)));
+  }
+  return out;
 }
 
 }  // namespace
 
-image read_image(std::string const& path) {
+image read_image(std::string const& path, int bits) {
   std::vector<std::uint8_t> const bytes = read_file(path);
+  depth_image samples;
+  if (bits < 16 && read_16_bits(path, bytes, samples)) { return high_bits(samples, bits); }
   if (detail::is_png(bytes)) { return detail::read_png(path, bytes); }
   if (detail::is_jpeg(bytes)) { return detail::read_jpeg(path, bytes); }
   if (detail::is_pnm(bytes)) { return detail::read_pnm(path, bytes); }
   if (detail::is_bmp(bytes)) { return detail::read_bmp(path, bytes); }
+  if (detail::is_tiff(bytes)) { return detail::read_tiff(path, bytes); }
   fail_unknown(path, bytes);
+}
+
+int read_image_bits(std::string const& path) {
+  depth_image samples;
+  if (!read_16_bits(path, read_file(path), samples)) { return 0; }
+  int const largest = *std::max_element(samples.pixels.begin(), samples.pixels.end());
+  int bits = 10;
+  while (bits < 16 && largest >> bits != 0) { bits += 2; }
+  return bits;
 }
 
 depth_image read_depth_image(std::string const& path) {
   std::vector<std::uint8_t> const bytes = read_file(path);
+  depth_image depth;
   if (detail::is_png(bytes)) { return detail::read_png_depth(path, bytes); }
-  fail(path, bytes.empty() ? "empty file" : "not a PNG, which depth images must be");
+  if (read_16_bits(path, bytes, depth)) { return depth; }
+  fail(path, bytes.empty() ? "empty file"
+                           : "no PNG or TIFF of one channel with 16 bits, which depth images are");
 }
 
 void write_depth_png(std::string const& path, depth_image const& depth) {
@@ -114,6 +154,7 @@ void read_image_size(std::string const& path, int& width, int& height) {
   if (detail::is_jpeg(bytes)) { return detail::read_jpeg_size(path, bytes, width, height); }
   if (detail::is_pnm(bytes)) { return detail::read_pnm_size(path, bytes, width, height); }
   if (detail::is_bmp(bytes)) { return detail::read_bmp_size(path, bytes, width, height); }
+  if (detail::is_tiff(bytes)) { return detail::read_tiff_size(path, bytes, width, height); }
   fail_unknown(path, bytes);
 }
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Reads and writes image files: PNG and JPEG with libpng and libjpeg; reads PGM, PPM, BMP.
+/// @file Reads and writes image files: PNG and JPEG with libpng and libjpeg; reads PGM, PPM, BMP,
+/// TIFF.
 #pragma once
 
 #include <cstdint>
@@ -10,16 +11,23 @@
 
 namespace seq {
 
-/// Reads a PNG, JPEG, binary PGM or PPM, or BMP (recognised by content) as 8-bit grey. Colour is
-/// decoded to RGB and converted as OpenCV does it (examples/sequence/grey.hpp), 16-bit samples keep
-/// their high byte, those of a PGM with another largest value (1023, 4095) are scaled by it, alpha
-/// is ignored. Bytes after the end of a JPEG, and extra bytes between its segments, are skipped.
+/// Reads a PNG, JPEG, binary PGM or PPM, BMP, or TIFF (recognised by content) as 8-bit grey. Colour
+/// is decoded to RGB and converted as OpenCV does it (examples/sequence/grey.hpp), 16-bit samples
+/// keep their high byte, those of a PGM with another largest value (1023, 4095) are scaled by it,
+/// alpha is ignored. Bytes after the end of a JPEG, and extra bytes between its segments, are
+/// skipped. A TIFF has strips, and no compression, LZW or PackBits.
+/// @param bits that hold the 16-bit samples of a PNG or TIFF of one channel, 8 to 16; larger
+///   samples are white
 /// @throws seq::error naming the file: missing, not an image, damaged, truncated, or larger than
 ///   16384 a side
-image read_image(std::string const& path);
+image read_image(std::string const& path, int bits = 16);
 
-/// Reads a depth image: a PNG of one channel with 16 bits. @throws seq::error as read_image, and
-/// for any other kind of image
+/// The fewest of 10, 12, 14 and 16 bits that hold the samples of a PNG or TIFF of one channel with
+/// 16 bits; 0 for any other image. @throws seq::error as read_image
+int read_image_bits(std::string const& path);
+
+/// Reads a depth image: a PNG or TIFF of one channel with 16 bits. @throws seq::error as
+/// read_image, and for any other kind of image
 depth_image read_depth_image(std::string const& path);
 
 /// Width and height without decoding the pixels. @throws seq::error

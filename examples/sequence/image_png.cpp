@@ -275,6 +275,11 @@ std::vector<std::uint8_t> write_png(std::string const& name, image const& pictur
   return bytes;
 }
 
+bool is_png_of_16_bits(std::vector<std::uint8_t> const& bytes) {
+  constexpr std::size_t bits = 24;  // in the first chunk, and then the kind of colour
+  return is_png(bytes) && bytes.size() > bits + 1 && bytes[bits] == 16 && bytes[bits + 1] == 0;
+}
+
 depth_image read_png_depth(std::string const& path, std::vector<std::uint8_t> const& bytes) {
   png_source source;
   open_png(path, bytes, source);

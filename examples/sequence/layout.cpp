@@ -14,7 +14,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp"};
+constexpr char const* image_extensions[] = {".png", ".jpg", ".jpeg", ".pgm",
+                                            ".ppm", ".bmp", ".tiff", ".tif"};
 
 std::vector<std::int64_t> times_of(std::vector<listed_image> const& list) {
   std::vector<std::int64_t> times;
@@ -95,21 +96,19 @@ void add_camera(camera_images const& camera, std::int64_t most_ns, layout_of_fil
   std::vector<listed_image> const there = present(camera.images);
   std::vector<std::int64_t> times;
   for (frame_files const& frame : layout.frames) { times.push_back(frame.time_ns); }
-  std::vector<frame_files> kept;
-  for (auto const& [i, k] : nearest_pairs(times, times_of(there), most_ns)) {
-    kept.push_back(std::move(layout.frames[i]));
-    kept.back().more.push_back(there[k].file);
-  }
-  if (kept.empty()) {
+  auto const pairs = nearest_pairs(times, times_of(there), most_ns);
+  if (pairs.empty()) {
     throw error(layout.root.string() + ": " + camera.name +
                 " has no image of the time of a pair, within " + milliseconds(most_ns) + " ms");
   }
-  if (kept.size() < times.size()) {
-    layout.warnings.push_back(std::to_string(times.size() - kept.size()) + " of " +
-                              std::to_string(times.size()) + " frames left out: " + camera.name +
-                              " has no image within " + milliseconds(most_ns) + " ms of them");
+  for (frame_files& frame : layout.frames) { frame.more.emplace_back(); }
+  for (auto const& [i, k] : pairs) { layout.frames[i].more.back() = there[k].file; }
+  if (pairs.size() < times.size()) {
+    layout.warnings.push_back(std::to_string(times.size() - pairs.size()) + " of " +
+                              std::to_string(times.size()) + " frames have no image of " +
+                              camera.name + " within " + milliseconds(most_ns) +
+                              " ms: it is black in them, and the others are tracked");
   }
-  layout.frames = std::move(kept);
 }
 
 }  // namespace
@@ -145,7 +144,22 @@ void take_images(std::vector<listed_image> const& images, std::string const& pat
   }
 }
 
+namespace {
+
+constexpr char const* accepted_folders =
+    "folders with mav0/cam0 or cam0/data.csv (EuRoC), image_0 or image_2 (KITTI), rgb.txt or "
+    "associations.txt (TUM RGB-D), or images (left and right, cam0 and cam1, or in the folder "
+    "itself)";
+constexpr char const* bags_and_videos =
+    "; bags (.bag, .db3, .mcap) and videos are read by python -m ft track";
+
+}  // namespace
+
 layout_of_files find_layout(std::string const& directory, open_options const& options) {
+  if (is_file(directory)) {
+    throw error(directory + ": a file; accepted are " + std::string(accepted_folders) +
+                bags_and_videos);
+  }
   if (!is_directory(directory)) { throw error(directory + ": no such folder"); }
   layout_of_files l;
   std::error_code failure;
@@ -178,10 +192,8 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
     l.left_camera = has("image_2") && !has("image_0") ? 2 : 0;
     find_folder_frames(l, options);
   } else {
-    throw error(directory +
-                ": no sequence found: neither mav0/cam0 (EuRoC), image_0 or image_2 (KITTI), "
-                "rgb.txt or associations.txt (TUM RGB-D), nor folders of images (left and right, "
-                "cam0 and cam1, or images in the folder itself)");
+    throw error(directory + ": no sequence found; accepted are " + accepted_folders +
+                bags_and_videos);
   }
   if (given && l.name != "folders") {
     throw error(directory + ": " + (options.fps > 0 ? "fps" : "times") +

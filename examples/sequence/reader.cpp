@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/sequence/reader.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <optional>
@@ -30,6 +31,7 @@ struct sequence::impl {
   bool fisheye = false;
   bool mixed = false;
   bool has_body_frame = false;
+  int image_bits = 16;
   double depth_unit = 0;
   std::string depth_unit_from;
   std::optional<rectifier> rectify;
@@ -44,6 +46,7 @@ struct sequence::impl {
   void set_depth_unit(detail::layout_of_files const& files, calibration const& calib,
                       open_options const& options);
   void check_times();
+  void set_image_bits(open_options const& options);
 };
 
 namespace {
@@ -56,10 +59,16 @@ namespace fs = std::filesystem;
 /// What the TUM RGB-D recordings have.
 constexpr double usual_depth_unit = 1.0 / 5000;
 
-image read_checked(std::string const& path, camera_intrinsics const& camera) {
-  image picture = read_image(path);
+image read_checked(std::string const& path, camera_intrinsics const& camera, int bits) {
+  image picture = read_image(path, bits);
   detail::check_image_size(path, picture.width, picture.height, camera);
   return picture;
+}
+
+image black(camera_intrinsics const& camera) {
+  auto const pixels =
+      static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+  return {camera.width, camera.height, std::vector<std::uint8_t>(pixels)};
 }
 
 depth_image read_checked_depth(std::string const& path, camera_intrinsics const& camera) {
@@ -93,6 +102,9 @@ void check_options(std::string const& directory, open_options const& options) {
   if (options.max_time_difference_ns && *options.max_time_difference_ns < 0) {
     throw error(directory + ": max_time_difference_ns = " +
                 std::to_string(*options.max_time_difference_ns) + ": must be at least 0");
+  }
+  if (options.image_bits != 0) {
+    detail::check_number(options.image_bits, {8, 16}, directory, "image_bits");
   }
   if (options.fps != 0) {
     detail::check_number(options.fps, {1e-3, 1e5}, directory, "fps");
@@ -219,6 +231,29 @@ void sequence::impl::check_times() {
                      " s: are the time stamps in another unit?");
 }
 
+/// Sensors of 10 and 12 bits are often stored in 16 without being scaled.
+void sequence::impl::set_image_bits(open_options const& options) {
+  image_bits = options.image_bits;
+  if (image_bits > 0) { return; }
+  image_bits = 16;
+  constexpr std::size_t looked_at = 8;
+  std::size_t const step = std::max<std::size_t>(1, frames.size() / looked_at);
+  int most = 0;
+  for (std::size_t i = 0; i < frames.size(); i += step) {
+    std::vector<std::string> files = frames[i].more;
+    files.push_back(frames[i].left);
+    if (kind == camera_kind::stereo) { files.push_back(frames[i].second); }
+    for (std::string const& file : files) {
+      if (!file.empty()) { most = std::max(most, read_image_bits(file)); }
+    }
+    if (most == 0 || most == 16) { return; }
+  }
+  image_bits = most;
+  warnings.push_back("images of 16 bits whose samples need " + std::to_string(most) +
+                     ": taken as images of " + std::to_string(most) +
+                     " bits; image_bits (--image-bits) says otherwise");
+}
+
 sequence::sequence(std::unique_ptr<impl> p) : impl_(std::move(p)) {}
 sequence::sequence(sequence&&) noexcept = default;
 sequence& sequence::operator=(sequence&&) noexcept = default;
@@ -265,6 +300,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
   p->from = std::move(source);
   p->frames = std::move(files.frames);
   p->check_times();
+  p->set_image_bits(options);
   p->unpaired = files.unpaired;
   if (options.max_frames > 0 && p->frames.size() > static_cast<std::size_t>(options.max_frames)) {
     p->frames.resize(static_cast<std::size_t>(options.max_frames));
@@ -300,13 +336,16 @@ stereo_frame sequence::load(int i) const {
   frame.time_ns = time_ns(i);
   detail::frame_files const& files = impl_->frames[static_cast<std::size_t>(i)];
   auto const& rectify = impl_->rectify;
-  frame.left = read_checked(files.left, impl_->raw.left);
+  frame.left = read_checked(files.left, impl_->raw.left, impl_->image_bits);
   if (rectify) { frame.left = rectify->left(frame.left); }
   if (impl_->kind == camera_kind::stereo) {
-    frame.right = read_checked(files.second, impl_->raw.right);
+    frame.right = read_checked(files.second, impl_->raw.right, impl_->image_bits);
     if (rectify) { frame.right = rectify->right(frame.right); }
     for (std::size_t k = 0; k < files.more.size(); ++k) {
-      frame.more.push_back(read_checked(files.more[k], impl_->raw.more[k].camera));
+      camera_intrinsics const& camera = impl_->raw.more[k].camera;
+      frame.more.push_back(files.more[k].empty()
+                               ? black(camera)
+                               : read_checked(files.more[k], camera, impl_->image_bits));
     }
   } else if (impl_->kind == camera_kind::rgbd) {
     frame.depth = read_checked_depth(files.second, impl_->raw.left);

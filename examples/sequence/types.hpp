@@ -114,7 +114,7 @@ struct stereo_frame {
   std::int64_t time_ns = 0;
   image left;
   image right;              ///< of a pair only
-  std::vector<image> more;  ///< of stereo_rig::more
+  std::vector<image> more;  ///< of stereo_rig::more; black where a camera has none in this frame
   depth_image depth;        ///< of a camera with depth only: registered to `left`, of its size
 };
 

@@ -28,6 +28,10 @@ void add_input(CLI::App& app, arguments& a, std::string& folder) {
                  "images a second, of folders whose file names are no times; times otherwise: the "
                  "file names, or times.txt");
   app.add_option("--times", a.times, "file with the time of each image, of folders of images");
+  app.add_option("--image-bits", a.image_bits,
+                 "bits that hold the samples of grey images of 16 bits; default: the fewest of 10, "
+                 "12, 14 and 16 that hold those of eight images")
+      ->check(CLI::Range(8, 16));
   app.add_option("--max-time-difference", a.max_time_difference_ms,
                  "how far the time stamps of the two images of a frame may be apart, in ms; "
                  "default: 1 for a pair, 20 for colour and depth");

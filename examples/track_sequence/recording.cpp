@@ -29,14 +29,24 @@ std::array<double, 12> twelve(ft::rigid<double> const& T) {
   return m;
 }
 
+/// fx, fy, cx, cy and what follows of the model.
 json camera_of(seq::camera_intrinsics const& c) {
   json values = {c.fx, c.fy, c.cx, c.cy};
-  if (c.model == seq::lens::kannala_brandt) {
-    for (std::size_t i = 0; i < 4; ++i) {
-      values.push_back(i < c.distortion.size() ? c.distortion[i] : 0.0);
-    }
-  }
+  for (double const k : c.distortion) { values.push_back(k); }
   return values;
+}
+
+char const* model_of(seq::camera_intrinsics const& c) {
+  switch (c.model) {
+    case seq::lens::radial_tangential:
+      return "RadTan";
+    case seq::lens::kannala_brandt:
+      return "KannalaBrandt";
+    case seq::lens::double_sphere:
+      return "DoubleSphere";
+    default:
+      return "Pinhole";
+  }
 }
 
 json truth_of(seq::sequence const& sequence) {
@@ -76,6 +86,7 @@ recording::recording(std::string const& folder, seq::sequence const& sequence,
                   {"width", left.width},
                   {"height", left.height},
                   {"camera", camera_of(left)},
+                  {"model", model_of(left)},
                   {"stages", stages},
                   {"truth", truth_of(sequence)}}
                  .dump());

@@ -121,6 +121,7 @@ seq::sequence open_sequence(arguments const& a) {
   seq::open_options open;
   open.rig = kind_of(a.rig);
   open.depth_unit = a.depth_unit;
+  open.image_bits = a.image_bits;
   if (a.max_time_difference_ms) {
     open.max_time_difference_ns = std::llround(1e6 * *a.max_time_difference_ms);
   }

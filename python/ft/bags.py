@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TextIO
 
+import numpy as np
+
 from . import bag_images
+from .bag_frames import Frames, Motion, pair_of_info, read_frames, write_assumed_imu, write_chain
 from .unpacking import BAGS, Unpacked, Wanted, begin
 
 if TYPE_CHECKING:
@@ -215,19 +218,66 @@ def write_camera_txt(file: Path, stream: Stream) -> None:
     file.write_text("# depth in units of 1 mm\n" + " ".join(map(repr, numbers)) + "\n")
 
 
-def write_calibration(made: Unpacked, chosen: list[Stream]) -> None:
-    """Of the camera_info of the chosen topics, where all have one of their own."""
+@dataclass
+class ChainCamera:
+    """Of the images of a topic, for Kalibr's chain."""
+
+    width: int
+    height: int
+    model: str
+    k: list[float]
+    d: list[float]
+
+
+def chain_camera(stream: Stream) -> ChainCamera:
+    assert stream.info is not None
+    k, d, _, _, model = info_values(stream)
+    return ChainCamera(int(stream.info.width), int(stream.info.height), model, k, d)
+
+
+def turned(stream: Stream, T_camera_other: Motion) -> Motion:
+    """What maps to the images' camera: rectified ones are turned by R of camera_info."""
+    T = np.eye(4)
+    if stream.rectified and stream.info is not None and any(matrix(stream.info, "r")):
+        T[:3, :3] = np.reshape(matrix(stream.info, "r"), (3, 3))
+    return np.asarray(T @ T_camera_other)
+
+
+def write_calibration(made: Unpacked, chosen: list[Stream], frames: Frames, imu_frame: str) -> bool:
+    """Of the camera_info of the chosen topics, where all have one of their own; what they do not say of the places of cameras
+    and the IMU is that of /tf_static. Returns whether the place of the IMU is in it."""
     used = chosen[:1] if len(chosen) > 1 and chosen[1].depth else chosen
     if any(s.info is None for s in used) or len({s.info_topic for s in used}) < len(used):
-        return
+        return False
+    made.calibration = " and ".join(s.info_topic for s in used)
     if used is not chosen and len(chosen) == 2:
         write_camera_txt(made.folder / "camera.txt", used[0])
-    elif len(chosen) == 2:
-        write_info(made.folder / "left.yaml", chosen[0])
-        write_info(made.folder / "right.yaml", chosen[1])
+        return False
+    left, right = chosen[0], chosen[-1]
+    T_left_imu = frames.find(left.frame, imu_frame) if imu_frame else None
+    T_right_left = None
+    if len(chosen) == 2 and right.right_of_pair():
+        _, _, r, _, _ = info_values(left)
+        _, _, r_right, p, _ = info_values(right)
+        T_right_left = pair_of_info(r, r_right, p)
+    elif len(chosen) == 2 and (between := frames.find(right.frame, left.frame)) is not None and between[:3, 3].any():
+        T_right_left = turned(right, between) @ np.linalg.inv(turned(left, np.eye(4)))
+    placed = len(chosen) == 1 or T_right_left is not None
+    if placed and (T_left_imu is not None or (len(chosen) == 2 and not right.right_of_pair())):
+        write_chain(made.folder / "camchain-imucam.yaml", map(chain_camera, chosen), T_right_left,
+                    None if T_left_imu is None else turned(left, T_left_imu))
+        made.calibration += " and /tf_static"
+        return T_left_imu is not None
+    if not placed:
+        raise RuntimeError(f"{made.source}: P of {right.info_topic} has no baseline, and /tf_static does not join the frames "
+                           f"'{left.frame}' and '{right.frame}': where is the right camera? A calibration (calibration, "
+                           "--calibration) says it; topics (--topics) names one camera to be taken alone")
+    if len(chosen) == 2:
+        write_info(made.folder / "left.yaml", left)
+        write_info(made.folder / "right.yaml", right)
     else:
-        write_info(made.folder / "camera.yaml", chosen[0])
-    made.calibration = " and ".join(s.info_topic for s in used)
+        write_info(made.folder / "camera.yaml", left)
+    return False
 
 
 class Writer:
@@ -244,7 +294,7 @@ class Writer:
             self._images[stream.topic] = bag_images.ImageWriter(made.folder / name, lists, stream.first, stream.topic)
         self._imu: TextIO | None = None
         self._stack = stack
-        self.samples = 0
+        self.imu_times: list[int] = []
 
     def image(self, topic: str, message: bag_images.Message, logged_ns: int) -> None:
         self._images[topic].write(message, logged_ns)
@@ -255,7 +305,7 @@ class Writer:
         w, a = message.angular_velocity, message.linear_acceleration
         time_ns = bag_images.stamp_of(message.header) or logged_ns
         self._imu.write(",".join(map(repr, [time_ns, w.x, w.y, w.z, a.x, a.y, a.z])) + "\n")
-        self.samples += 1
+        self.imu_times.append(time_ns)
 
     def least(self) -> int:
         """Images of the camera that has fewest."""
@@ -290,17 +340,21 @@ def unpack_bag(path: Path, wanted: Wanted) -> Unpacked:
         streams = find_streams(reader)
         chosen = choose(path, streams, wanted)
         made = begin(str(path), "bag")
-        if not wanted.calibration:
-            write_calibration(made, chosen)
         # A RealSense has a topic for each half of its IMU.
         imus = [(t, c) for t, c in sorted(by_topic(reader, (IMU_TYPE,)).items()) if not {"accel", "gyro"} & set(t.split("/"))]
+        first = first_of(reader, imus[0][1]) if imus else None
+        imu_frame = str(first.header.frame_id) if first is not None else ""  # type: ignore[attr-defined]
+        placed = not wanted.calibration and write_calibration(made, chosen, read_frames(reader), imu_frame)
         writer = Writer(made, chosen, stack)
         try:
             copy_messages(reader, writer, chosen, imus[0][1] if imus else [], wanted)
         except bag_images.Refused as e:
             raise RuntimeError(f"{path}: {e}") from None
         writer.finish()
-        describe(made, reader, chosen, streams, [topic for topic, _ in imus], writer.samples)
+        if placed and writer.imu_times:
+            assumed = write_assumed_imu(made.folder / "imu.yaml", writer.imu_times)
+            made.warnings += [assumed] if wanted.imu else []
+        describe(made, reader, chosen, streams, [topic for topic, _ in imus], len(writer.imu_times))
     return made
 
 

@@ -223,7 +223,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
                   max_frames: int = 0, imu: bool = False, rig: str = "auto", depth_unit: Optional[float] = None,
                   min_depth: float = 0.0, max_depth: Optional[float] = None,
                   max_time_difference_ns: Optional[int] = None, fps: Optional[float] = None, times: Path = "",
-                  topics: Union[str, Items[str]] = (),
+                  topics: Union[str, Items[str]] = (), image_bits: Optional[int] = None,
                   progress: Optional[Callable[[int], None]] = None) -> Sequence:
     """Opens a recording. It is a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM
     RGB-D, or plain folders of images: left and right (cam0 and cam1, image_0 and image_1), or one. Or it is a bag (.bag,
@@ -237,7 +237,8 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt; a bag has
     its camera_info. The calibration of a video is the one beside it; that of a single video is of one camera. fps, times: of plain folders, images a second, or a file with a time a line; None and "" = the file
     names or times.txt say them. topics: of a bag, one with images, left and right, or colour and depth; empty = found by
-    type and name. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
+    type and name. image_bits: 8 to 16, that hold the samples of grey PNG and TIFF of 16 bits; None = the fewest of 10, 12, 14
+    and 16 that hold those of eight images. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
     also reads mav0/imu0, imu0 or imu.csv, or a bag's sensor_msgs/Imu, if the calibration says where it is (Kalibr's
     chain). rig: auto (what the folder holds), stereo, mono (the left camera alone), rgbd, or mixed: a pair and all cameras beside it (cam2 ..., of
     EuRoC's layout or of folders with Kalibr's chain), of any lenses, as they are; auto and stereo take the pair alone.
@@ -248,12 +249,13 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
         "calibration": str(calibration), "keep_fisheye": bool(keep_fisheye), "max_frames": max_frames, "imu": bool(imu),
         "rig": str(rig), "depth_unit": depth_unit, "max_time_difference_ns": max_time_difference_ns,
         "fps": fps, "times": str(times),
+        "image_bits": image_bits,
     }
     if not isinstance(max_frames, (int, np.integer)) or not 0 <= max_frames < 2**31:
         raise ValueError(f"max_frames is {max_frames!r}, must be a whole number from 0 to {2**31 - 1}")
     frames = int(max_frames)
     recording = unpacked(folder, Wanted("stereo" if rig == "mixed" else str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics),
-                                        bool(str(calibration)), progress or (lambda images: None)))
+                                        bool(str(calibration)), progress or (lambda images: None), bool(imu)))
     if recording is None:
         first = folder[0] if isinstance(folder, (list, tuple)) else folder
         sequence = Sequence(_ft.SequenceFiles.open(str(first), options), min_depth, max_depth)

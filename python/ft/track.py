@@ -50,7 +50,8 @@ def open_sequence(a: argparse.Namespace) -> ft.Sequence:
         sequence = ft.read_sequence(a.files, calibration=a.calibration, keep_fisheye=a.rig != "rectified", max_frames=a.frames,
                                     topics=a.topics, progress=Unpacking(a.quiet), imu=a.imu == "auto", rig=RIGS[a.rig],
                                     depth_unit=a.depth_unit, min_depth=a.min_depth,
-                                    max_depth=a.max_depth, max_time_difference_ns=apart, fps=a.fps, times=a.times)
+                                    max_depth=a.max_depth, max_time_difference_ns=apart, fps=a.fps, times=a.times,
+                                    image_bits=a.image_bits)
     if a.imu_time_offset is not None and sequence.imu is not None:
         sequence.imu.time_offset_s = a.imu_time_offset
     for text in sequence.warnings:

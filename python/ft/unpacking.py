@@ -15,7 +15,7 @@ import numpy as np
 
 BAGS = (".bag", ".db3", ".mcap")
 VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
-IMAGES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp")
+IMAGES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff")
 ACCEPTED = (f"accepted are a folder (EuRoC, KITTI, TUM RGB-D, images), a bag ({', '.join(BAGS)}, the folder of a ROS 2 bag), "
             f"one or two videos ({', '.join(VIDEOS)}), and a pattern of images such as 'images/*.png'")
 
@@ -26,13 +26,14 @@ Progress = Callable[[int], None]
 class Wanted:
     """What a caller of read_sequence asks of a recording. rig: auto, stereo, mono or rgbd; a mixed
     one is stereo here. topics: of images, of a bag;
-    empty: found. calibration: whether one was named."""
+    empty: found. calibration: whether one was named. imu: whether samples of one are to be used."""
 
     rig: str = "auto"
     max_frames: int = 0
     topics: SequenceOf[str] = ()
     calibration: bool = False
     progress: Progress = lambda images: None
+    imu: bool = False
 
 
 @dataclass

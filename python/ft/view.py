@@ -12,7 +12,7 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Iterator, Mapping, Optional, Sequence, Union
+from typing import Any, Callable, Iterator, Mapping, Optional, Sequence, Union, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,8 +205,8 @@ def _matrices(rows: Sequence[Sequence[float]]) -> Floats:
 class Recording:
     """What track_sequence --record FOLDER wrote: recording.jsonl, and images. Iterates over ft.view.Seen.
 
-    The first line of recording.jsonl has ft_recording (the format, 1), sequence, width, height, camera (fx, fy, cx, cy and,
-    of a fisheye camera, k1 to k4), stages, and truth or null: time_ns, T_world_camera, orientation. Each later line is a
+    The first line of recording.jsonl has ft_recording (the format, 1), sequence, width, height, camera (fx, fy, cx, cy and
+    what follows of the model), model (Pinhole, RadTan, KannalaBrandt or DoubleSphere; without it, 8 numbers are KannalaBrandt's), stages, and truth or null: time_ns, T_world_camera, orientation. Each later line is a
     frame: frame, time_ns, image (a path in the folder), tracked, keyframe, T_world_camera (12 numbers, 3x4 row-major), counts,
     stage_ms, and of the left keypoints x, y, depth (-1 = none), point (-1 = none), matched. A last line that is cut off, as
     of a run that goes on, is left out. Raises RuntimeError that names the file and what is wrong.
@@ -231,6 +231,17 @@ class Recording:
                 self.truth_has_orientation = bool(truth["orientation"])
         except (KeyError, TypeError, ValueError) as e:
             raise RuntimeError(f"{self._file}:1: {e!r}") from e
+
+    @property
+    def camera(self) -> Camera:
+        """Raises RuntimeError for other numbers than the model has."""
+        models: dict[str, Callable[[Any], Camera]] = {
+            "RadTan": _ft.RadTan, "KannalaBrandt": _ft.KannalaBrandt, "DoubleSphere": _ft.DoubleSphere}
+        numbers, name = self.header["camera"], self.header.get("model", "Pinhole")
+        try:
+            return models[name](numbers) if name in models else cast(Camera, numbers)
+        except (TypeError, ValueError) as e:
+            raise RuntimeError(f"{self._file}:1: camera: {e}") from e
 
     def __iter__(self) -> Iterator[Seen]:
         with open(self._file, encoding="utf-8") as lines:
@@ -257,7 +268,7 @@ def show_recording(folder: Union[str, Path], file: Union[str, Path, None] = None
     """Shows a recording in the viewer, or writes it to a .rrd file. Returns the number of frames."""
     recording = Recording(folder)
     h = recording.header
-    viewer = Viewer(open_rerun(file), h["camera"], h["width"], h["height"], recording.truth,
+    viewer = Viewer(open_rerun(file), recording.camera, h["width"], h["height"], recording.truth,
                     recording.truth_has_orientation)
     frames = 0
     for seen in recording:

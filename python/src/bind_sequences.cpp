@@ -140,6 +140,13 @@ seq::sequence opened(std::string const& folder, nb::dict const& options) {
       throw argument_error("max_time_difference_ns is " + text_of(apart) + ", must be at least 0");
     }
   }
+  nb::object const bits = options["image_bits"];
+  if (!bits.is_none()) {
+    o.image_bits = whole(bits, "image_bits", 8);
+    if (o.image_bits > 16) {
+      throw argument_error("image_bits is " + text_of(bits) + ", must be in [8, 16]");
+    }
+  }
   nb::object const unit = options["depth_unit"];
   if (!unit.is_none()) {
     o.depth_unit = number(unit, "depth_unit");

@@ -17,7 +17,7 @@ from ft import bag_images, bags
 pytest.importorskip("rosbags", reason="rosbags is not installed: no bags are read")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
 from rosbags.rosbag2 import StoragePlugin, Writer as Writer2  # noqa: E402
-from rosbags.typesys import Stores, get_typestore  # noqa: E402
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
 FRAMES = 8
 FIRST_NS = 1_700_000_000_000_000_000
@@ -67,13 +67,13 @@ class Bag:
         self.write(topic, self.make("sensor_msgs/msg/CompressedImage", header=self.header(time_ns), format=form,
                                     data=np.frombuffer(data, np.uint8)), time_ns)
 
-    def info(self, topic, baseline=0.0, distortion=(0.0,) * 5, time_ns=FIRST_NS):
+    def info(self, topic, baseline=0.0, distortion=(0.0,) * 5, time_ns=FIRST_NS, model="plumb_bob", rectified=True):
         up = str.upper if self.ros1 else str
         roi = self.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
         matrices = {"d": distortion, "k": [F, 0, CX, 0, F, CY, 0, 0, 1], "r": [1, 0, 0, 0, 1, 0, 0, 0, 1],
-                    "p": [F, 0, CX, -F * baseline, 0, F, CY, 0, 0, 0, 1, 0]}
+                    "p": [F, 0, CX, -F * baseline, 0, F, CY, 0, 0, 0, 1, 0] if rectified else [0.0] * 12}
         self.write(topic, self.make(
-            "sensor_msgs/msg/CameraInfo", header=self.header(time_ns), height=HEIGHT, width=WIDTH, distortion_model="plumb_bob",
+            "sensor_msgs/msg/CameraInfo", header=self.header(time_ns), height=HEIGHT, width=WIDTH, distortion_model=model,
             binning_x=0, binning_y=0, roi=roi, **{up(k): np.array(v, np.float64) for k, v in matrices.items()}), time_ns)
 
     def imu(self, topic, time_ns):
@@ -83,6 +83,19 @@ class Bag:
             orientation=self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0), orientation_covariance=unknown,
             angular_velocity=self.make(vector, x=0.0, y=0.0, z=0.0), angular_velocity_covariance=unknown,
             linear_acceleration=self.make(vector, x=0.0, y=-9.81, z=0.0), linear_acceleration_covariance=unknown), time_ns)
+
+    def static(self, *motions):
+        """Of (parent, child, T_parent_child) of no rotation, or one about z by a quarter."""
+        vector, made = "geometry_msgs/msg/Vector3", []
+        for parent, child, T in motions:
+            q = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0} if T[0, 0] == 1 else {"x": 0.0, "y": 0.0, "z": 0.5**0.5, "w": 0.5**0.5}
+            made.append(self.make(
+                "geometry_msgs/msg/TransformStamped", header=self.header(0, parent), child_frame_id=child,
+                transform=self.make("geometry_msgs/msg/Transform", translation=self.make(vector, x=T[0, 3], y=T[1, 3], z=T[2, 3]),
+                                    rotation=self.make("geometry_msgs/msg/Quaternion", **q))))
+        if "tf2_msgs/msg/TFMessage" not in self.types.types:  # not of rosbags' ROS 1
+            self.types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+        self.write("/tf_static", self.make("tf2_msgs/msg/TFMessage", transforms=made), FIRST_NS)
 
     def pose(self, topic, time_ns):
         self.write(topic, self.make(
@@ -175,6 +188,57 @@ def test_an_imu_is_used_with_kalibrs_chain(walk, tmp_path):
     assert sequence.imu is not None and len(sequence.imu_samples) == 10 * FRAMES
     assert sequence.imu_samples[1][0] == FIRST_NS + 5_000_000
     assert np.allclose(sequence.imu_samples[1][1], [0, -9.81, 0])
+
+
+def motion(x, y, z, turned=False):
+    T = np.eye(4)
+    if turned:
+        T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    T[:3, 3] = [x, y, z]
+    return T
+
+
+# The body is neither a camera nor the IMU; what is searched for goes up and down the tree.
+CAMERAS_BODY = (("body", "left_optical", motion(0.2, 0, 0, True)), ("body", "right_optical", motion(0.2, BASELINE, 0, True)),
+                ("/body", "mount", motion(0, 0, 0.5)), ("mount", "imu", motion(0.1, 0, 0)))
+T_IMU_LEFT = np.linalg.inv(motion(0.1, 0, 0.5)) @ motion(0.2, 0, 0, True)
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+@pytest.mark.parametrize("rectified", [True, False])
+def test_static_transforms_say_where_cameras_and_imu_are(kind, rectified, walk, tmp_path):
+    bag = Bag(tmp_path, kind)
+    bag.static(*CAMERAS_BODY)
+    model, distortion = ("plumb_bob", (0.0,) * 5) if rectified else ("equidistant", (0.01, 0.0, 0.0, 0.0))
+    for i in range(FRAMES):
+        left, right, t = walk.frame(i)
+        for name, image, baseline in zip(("left", "right"), (left, right), (0, BASELINE)):
+            bag.info(f"/{name}/camera_info", baseline, distortion, FIRST_NS + t, model, rectified)
+            bag.image(f"/{name}/image_raw", image, FIRST_NS + t, frame=f"{name}_optical")
+        for k in range(10):
+            bag.imu("/imu", FIRST_NS + t + 5_000_000 * k)
+    path = bag.close()
+    with pytest.warns(UserWarning, match="does not say the noise"):
+        sequence = ft.read_sequence(path, imu=True)
+    assert sequence.imu is not None and len(sequence.imu_samples) == 10 * FRAMES
+    assert sequence.imu.rate_hz == pytest.approx(200)
+    assert np.allclose(sequence.imu.T_imu_camera, T_IMU_LEFT, atol=1e-9)
+    T_right_left = motion(-BASELINE, 0, 0)
+    if rectified:
+        assert isinstance(sequence.rig, ft.RectifiedPair) and sequence.rig.baseline == pytest.approx(BASELINE)
+    else:
+        assert isinstance(sequence.rig, ft.FisheyePair) and np.allclose(sequence.rig.T_right_left, T_right_left, atol=1e-9)
+    assert "/tf_static" in sequence.describe()[0][1]
+
+
+def test_without_transforms_a_raw_pair_is_refused(walk, tmp_path):
+    bag = Bag(tmp_path, "mcap")
+    left, right, t = walk.frame(0)
+    for name, image in (("left", left), ("right", right)):
+        bag.info(f"/{name}/camera_info", 0.0, (0.01, 0.0, 0.0, 0.0), FIRST_NS, "equidistant", False)
+        bag.image(f"/{name}/image_raw", image, FIRST_NS, frame=f"{name}_optical")
+    with pytest.raises(RuntimeError, match="does not join the frames 'left_optical' and 'right_optical'.*--calibration"):
+        ft.read_sequence(bag.close())
 
 
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])

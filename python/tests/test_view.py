@@ -180,6 +180,20 @@ def test_a_recording_that_goes_on_is_read_to_the_last_whole_line(recording, tmp_
     assert len(list(view.Recording(tmp_path / "cut"))) == 2
 
 
+def test_a_distorted_camera_keeps_its_model(recording, tmp_path):
+    """Those of a mixed rig are tracked as they are."""
+    first, *rest = (recording / "recording.jsonl").read_text().splitlines()
+    for model, numbers, kind in (("RadTan", [400, 400, 160, 120, -0.1, 0.02, 0, 0], ft.RadTan),
+                                 ("DoubleSphere", [200, 200, 160, 120, -0.2, 0.6], ft.DoubleSphere)):
+        header = {**json.loads(first), "model": model, "camera": numbers}
+        (tmp_path / "recording.jsonl").write_text("\n".join([json.dumps(header), *rest, ""]))
+        assert isinstance(view.Recording(tmp_path).camera, kind)
+    header["camera"] = [1, 2]
+    (tmp_path / "recording.jsonl").write_text(json.dumps(header) + "\n")
+    with pytest.raises(RuntimeError, match="recording.jsonl:1: camera"):
+        view.Recording(tmp_path).camera
+
+
 @pytest.mark.parametrize("text", ["", "[]\n", '{"ft_recording": 2}\n', "no JSON\n"])
 def test_what_is_no_recording_is_named(tmp_path, text):
     (tmp_path / "recording.jsonl").write_text(text)

@@ -82,6 +82,7 @@ TEST(Recording, OfAFisheyePairHasItsLens) {
   strings const lines = lines_of(read_file(record + "/recording.jsonl"));
   ASSERT_EQ(lines.size(), 3u);
   EXPECT_EQ(json::parse(lines[0]).at("camera").size(), 8u);
+  EXPECT_EQ(json::parse(lines[0]).at("model"), "KannalaBrandt");
   EXPECT_EQ(json::parse(lines[0]).at("stages"), json({"total"}));
 }
 

@@ -293,10 +293,15 @@ TEST(reader_rigs, cameras_of_different_lenses_are_taken_as_they_are) {
   EXPECT_EQ(rights_of(s), (std::vector<int>{1, -1, 3, -1}));  // the last two look back
   Eigen::Vector3d const last = seq::rig_cameras(s.rig())[3].T_left_this.translation();
   EXPECT_LT((last - Eigen::Vector3d(0, 0.05, 0)).norm(), 1e-12) << last;
-  EXPECT_EQ(times_of(s), (time_list{100'500'000'000, 102'500'000'000, 103'500'000'000}));
+  EXPECT_EQ(times_of(s),
+            (time_list{100'500'000'000, 101'500'000'000, 102'500'000'000, 103'500'000'000}));
   ASSERT_EQ(s.warnings().size(), 1U);
-  EXPECT_TRUE(contains(s.warnings()[0], "1 of 4 frames left out: cam2 has no image within 1 ms"));
-  seq::stereo_frame const frame = s.load(1);
+  EXPECT_TRUE(
+      contains(s.warnings()[0], "1 of 4 frames have no image of cam2 within 1 ms: it is black"));
+  seq::image const missing = s.load(1).more[0];
+  EXPECT_EQ(missing.width, 64);
+  EXPECT_EQ(missing.pixels, std::vector<std::uint8_t>(64 * 48));
+  seq::stereo_frame const frame = s.load(2);
   ASSERT_EQ(frame.more.size(), 2U);
   EXPECT_EQ(frame.left.pixels[0], 2);
   EXPECT_EQ(frame.right.pixels[0], 12);

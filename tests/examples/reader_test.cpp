@@ -565,7 +565,9 @@ TEST(reader, one_frame_is_enough) {
 TEST(reader, rejects_folders_that_hold_no_sequence) {
   temp_folder const folder;
   EXPECT_TRUE(contains(open_error(folder.path("none")), "none: no such folder"));
-  EXPECT_TRUE(contains(open_error(folder.write("file", "x")), "no such folder"));
+  EXPECT_TRUE(
+      contains(open_error(folder.write("file", "x")), "file: a file; accepted are folders"));
+  EXPECT_TRUE(contains(open_error(folder.write("a.mcap", "x")), "read by python -m ft track"));
   EXPECT_TRUE(contains(open_error(""), "no such folder"));
   EXPECT_TRUE(contains(open_error(folder.path()), "no sequence found"));
   fs::create_directories(folder.path("mav0"));

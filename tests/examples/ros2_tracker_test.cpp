@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "examples/ros2/include/ft_ros2/base_frame.hpp"
+#include "examples/ros2/include/ft_ros2/health.hpp"
 #include "examples/ros2/include/ft_ros2/images.hpp"
 #include "examples/ros2/include/ft_ros2/quaternions.hpp"
 #include "examples/ros2/include/ft_ros2/tracker.hpp"
@@ -122,6 +123,52 @@ TEST(BaseFrame, CovarianceIsMovedToTheBase) {
     EXPECT_NEAR(e.covariance[static_cast<std::size_t>(i)], wanted(i / 6, i % 6),
                 1e-4 * wanted.norm());
   }
+}
+
+TEST(BaseFrame, CorrectionsOfTheCamerasWorldAreThoseOfOdom) {
+  base_frame const base(plain(mounted()));
+  // The camera's world is corrected by B^-1 C B where odom is by C.
+  Eigen::Isometry3d const C = pose({0.1, -0.2, 0.7}, {1, 2, -0.5});
+  auto const given = base.correction(ft_of(mounted().inverse() * C * mounted()));
+  EXPECT_LT((eigen_of(given).matrix() - C.matrix()).norm(), 1e-12);
+}
+
+// ---- diagnostics
+
+TEST(Health, SaysWhatWasSinceTheLastReport) {
+  ft_ros2::health_counter counter;
+  EXPECT_EQ(counter.report().level, ft_ros2::health::error);
+  estimate good;
+  good.tracked = true;
+  good.inliers = 120;
+  counter.take(good, 4);
+  counter.take(good, 6);
+  auto const fine = counter.report();
+  EXPECT_EQ(fine.level, ft_ros2::health::ok);
+  EXPECT_EQ(fine.message, "tracking");
+  auto const value = [](ft_ros2::health const& h, std::string const& name) {
+    for (auto const& [key, text] : h.values) {
+      if (key == name) { return text; }
+    }
+    return std::string();
+  };
+  EXPECT_EQ(value(fine, "frames"), "2");
+  EXPECT_EQ(std::stod(value(fine, "milliseconds a frame")), 5);
+  EXPECT_EQ(value(fine, "inliers"), "120");
+  estimate doubtful = good;
+  doubtful.warning = "blurred: why";
+  counter.take(doubtful, 5);
+  auto const doubted = counter.report();
+  EXPECT_EQ(doubted.level, ft_ros2::health::warning);
+  EXPECT_NE(doubted.message.find("blurred"), std::string::npos);
+  counter.take(good, 5);
+  counter.take({}, 5);
+  EXPECT_EQ(counter.report().message, "frames without a pose");
+  counter.take({}, 5);
+  EXPECT_EQ(counter.report().level, ft_ros2::health::error);
+  counter.refuse("an image has another size");
+  EXPECT_EQ(counter.report().message, "an image has another size");
+  EXPECT_EQ(counter.report().message, "no images");
 }
 
 // ---- messages

@@ -13,6 +13,7 @@ ARGUMENTS = {
     "use_imu": ("false", "whether there is one"),
     "device": ("host", "host, or cuda in a build with USE_CUDA"),
     "base_frame": ("base_link", "the frame whose pose is published"),
+    "loops": ("false", "whether places seen before correct map to odom"),
     "image_transport": ("raw", "raw, compressed ..."),
 }
 
@@ -26,6 +27,7 @@ def generate_launch_description():
         output="screen",
         parameters=[{
             "use_imu": ParameterValue(value("use_imu"), value_type=bool),
+            "loops": ParameterValue(value("loops"), value_type=bool),
             "device": value("device"),
             "base_frame": value("base_frame"),
             "image_transport": value("image_transport"),

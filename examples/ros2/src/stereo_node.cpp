@@ -1,14 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file A ROS 2 node around ft_ros2::tracker: a rectified stereo pair, and an IMU if there is one,
-/// in; odometry, path and tf out. README.md has its topics and parameters.
+/// in; odometry, path, tf and diagnostics out. A component: it may share a process. README.md has
+/// its topics and parameters.
 #include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_broadcaster.h>
 #include <tf2_ros/transform_listener.h>
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <diagnostic_msgs/msg/diagnostic_array.hpp>
 #include <exception>
 #include <functional>
 #include <geometry_msgs/msg/pose_stamped.hpp>
@@ -19,6 +22,7 @@
 #include <nav_msgs/msg/path.hpp>
 #include <optional>
 #include <rclcpp/rclcpp.hpp>
+#include <rclcpp_components/register_node_macro.hpp>
 #include <sensor_msgs/msg/camera_info.hpp>
 #include <sensor_msgs/msg/image.hpp>
 #include <sensor_msgs/msg/imu.hpp>
@@ -34,6 +38,7 @@
 #include <message_filters/synchronizer.h>
 #endif
 
+#include "ft_ros2/health.hpp"
 #include "ft_ros2/images.hpp"
 #include "ft_ros2/quaternions.hpp"
 #include "ft_ros2/tracker.hpp"
@@ -55,9 +60,13 @@ transform transform_of(geometry_msgs::msg::Transform const& m) {
   return {matrix_of({q.x, q.y, q.z, q.w}), {t.x, t.y, t.z}};
 }
 
+}  // namespace
+
 class stereo_node : public rclcpp::Node {
 public:
-  stereo_node() : rclcpp::Node("ft_stereo_odometry"), buffer_(get_clock()), listener_(buffer_) {
+  explicit stereo_node(rclcpp::NodeOptions const& options)
+      : rclcpp::Node("ft_stereo_odometry", options), buffer_(get_clock()), listener_(buffer_) {
+    map_frame_ = declare_parameter<std::string>("map_frame", "map");
     odom_frame_ = declare_parameter<std::string>("odom_frame", "odom");
     base_frame_ = declare_parameter<std::string>("base_frame", "base_link");
     publish_tf_ = declare_parameter("publish_tf", true);
@@ -66,6 +75,9 @@ public:
     read_settings();
 
     odometry_out_ = create_publisher<nav_msgs::msg::Odometry>("odometry", rclcpp::QoS(10));
+    diagnostics_out_ =
+        create_publisher<diagnostic_msgs::msg::DiagnosticArray>("/diagnostics", rclcpp::QoS(1));
+    diagnose_ = create_wall_timer(std::chrono::seconds(1), [this] { diagnose(); });
     path_out_ = create_publisher<nav_msgs::msg::Path>("path", rclcpp::QoS(1));
     broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>(*this);
 
@@ -93,6 +105,7 @@ private:
   void read_settings() {
     settings_.features = static_cast<int>(declare_parameter("features", std::int64_t{1200}));
     settings_.threads = static_cast<int>(declare_parameter("threads", std::int64_t{0}));
+    settings_.loops = declare_parameter("loops", false);
     settings_.gpu = declare_parameter<std::string>("device", "host") == "cuda";
     use_imu_ = declare_parameter("use_imu", false);
     imu_.gyro_noise = declare_parameter("gyro_noise", imu_.gyro_noise);
@@ -117,8 +130,12 @@ private:
       if (!tracker_ && !begin(*left)) { return; }
       take(*left, left_grey_);
       take(*right, right_grey_);
+      auto const begin = std::chrono::steady_clock::now();
       estimate const e =
           tracker_->track(left_grey_.data(), right_grey_.data(), nanoseconds(left->header.stamp));
+      health_.take(
+          e, std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin)
+                 .count());
       if (!e.warning.empty()) {
         RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 10000, "%s", e.warning.c_str());
       }
@@ -194,19 +211,49 @@ private:
       odometry.twist.covariance[0] = -1;  // not known
     }
     odometry_out_->publish(odometry);
-    if (publish_tf_) { send_transform(odometry); }
+    if (publish_tf_) {
+      send_transform(odometry.header, base_frame_, e.T_odom_base);
+      if (settings_.loops) {
+        auto map = odometry.header;
+        map.frame_id = map_frame_;
+        send_transform(map, odom_frame_, e.T_map_odom);
+      }
+    }
     if (path_length_ > 0) { extend_path(odometry); }
   }
 
-  void send_transform(nav_msgs::msg::Odometry const& odometry) {
+  void send_transform(std_msgs::msg::Header const& header, std::string const& child,
+                      transform const& T) {
     geometry_msgs::msg::TransformStamped m;
-    m.header = odometry.header;
-    m.child_frame_id = odometry.child_frame_id;
-    m.transform.translation.x = odometry.pose.pose.position.x;
-    m.transform.translation.y = odometry.pose.pose.position.y;
-    m.transform.translation.z = odometry.pose.pose.position.z;
-    m.transform.rotation = odometry.pose.pose.orientation;
+    m.header = header;
+    m.child_frame_id = child;
+    m.transform.translation.x = T.t[0];
+    m.transform.translation.y = T.t[1];
+    m.transform.translation.z = T.t[2];
+    std::array<double, 4> const q = quaternion_of(T.R);
+    m.transform.rotation.x = q[0];
+    m.transform.rotation.y = q[1];
+    m.transform.rotation.z = q[2];
+    m.transform.rotation.w = q[3];
     broadcaster_->sendTransform(m);
+  }
+
+  void diagnose() {
+    health const h = health_.report();
+    diagnostic_msgs::msg::DiagnosticArray all;
+    all.header.stamp = now();
+    diagnostic_msgs::msg::DiagnosticStatus status;
+    status.level = h.level;
+    status.name = std::string(get_fully_qualified_name()) + ": tracking";
+    status.message = h.message;
+    for (auto const& [name, value] : h.values) {
+      diagnostic_msgs::msg::KeyValue line;
+      line.key = name;
+      line.value = value;
+      status.values.push_back(line);
+    }
+    all.status.push_back(status);
+    diagnostics_out_->publish(all);
   }
 
   /// A full path loses every second pose.
@@ -231,18 +278,22 @@ private:
   void guarded(F const& f) {
     try {
       f();
-    } catch (std::exception const& e) { warn(e.what()); }
+    } catch (std::exception const& e) {
+      health_.refuse(e.what());
+      warn(e.what());
+    }
   }
   void warn(char const* text) {
     RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 2000, "%s", text);
   }
 
-  std::string odom_frame_, base_frame_, imu_id_;
+  std::string map_frame_, odom_frame_, base_frame_, imu_id_;
   bool publish_tf_ = true, use_imu_ = false;
   std::size_t path_length_ = 0;
   imu_settings imu_;
   tracker_settings settings_;
   std::unique_ptr<tracker> tracker_;
+  health_counter health_;
   CameraInfo::ConstSharedPtr left_info_, right_info_;
   std::vector<std::uint8_t> left_grey_, right_grey_;
   nav_msgs::msg::Path path_;
@@ -252,18 +303,14 @@ private:
   std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;
   rclcpp::Publisher<nav_msgs::msg::Odometry>::SharedPtr odometry_out_;
   rclcpp::Publisher<nav_msgs::msg::Path>::SharedPtr path_out_;
+  rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticArray>::SharedPtr diagnostics_out_;
+  rclcpp::TimerBase::SharedPtr diagnose_;
   rclcpp::Subscription<CameraInfo>::SharedPtr left_info_in_, right_info_in_;
   rclcpp::Subscription<Imu>::SharedPtr imu_in_;
   image_transport::SubscriberFilter left_in_, right_in_;
   std::unique_ptr<synchronizer> pairs_;
 };
 
-}  // namespace
 }  // namespace ft_ros2
 
-int main(int argc, char** argv) {
-  rclcpp::init(argc, argv);
-  rclcpp::spin(std::make_shared<ft_ros2::stereo_node>());
-  rclcpp::shutdown();
-  return 0;
-}
+RCLCPP_COMPONENTS_REGISTER_NODE(ft_ros2::stereo_node)

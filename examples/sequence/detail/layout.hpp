@@ -18,7 +18,7 @@ struct frame_files {
   std::int64_t time_ns = 0;
   std::string left;
   std::string second;                  ///< the right image or the depth image; empty for one camera
-  std::vector<std::string> more = {};  ///< of the cameras beside the pair
+  std::vector<std::string> more = {};  ///< of the cameras beside the pair; empty = none was taken
 };
 
 /// A line of a list of images.
@@ -79,8 +79,8 @@ struct two_lists {
 void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& layout);
 
 /// Adds the images of the cameras beside the pair to the frames, those that are nearest to the left
-/// one; frames without one are left out. A camera without images, or without a calibration, leaves
-/// the rig, and those after it. @throws seq::error without any frame
+/// one within the limit, none where there is none. A camera without images, or without a
+/// calibration, leaves the rig, and those after it. @throws seq::error without any frame
 void add_cameras(calibration& calib, open_options const& options, layout_of_files& layout);
 
 /// The frames of one camera: the images whose files are there. @param path of the list

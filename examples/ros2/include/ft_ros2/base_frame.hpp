@@ -78,6 +78,10 @@ public:
     time_ns_ = time_ns;
     has_last_ = true;
   }
+  /// A correction of the camera's world as one of odom: both begin at the same place.
+  transform correction(rigid const& T_world_odom) const {
+    return transform_of((T_bc_ * T_world_odom * T_bc_.inverse()).orthonormalized());
+  }
   /// A frame without a pose: the next one has no velocities.
   void skip() { has_last_ = false; }
 

@@ -35,6 +35,7 @@ struct tracker_settings {
   int features = 1200;      ///< keypoints an image
   int threads = 0;          ///< of the host; 0 = all
   bool gpu = false;         ///< the current GPU, instead of the host
+  bool loops = false;       ///< recognises places seen before, and corrects map to odom
   std::optional<imu_settings> imu;
 };
 
@@ -44,7 +45,8 @@ struct estimate {
   bool keyframe = false;
   int inliers = 0;  ///< keypoints that agree with the pose
   int map_points = 0;
-  transform T_odom_base;
+  transform T_odom_base;  ///< never jumps
+  transform T_map_odom;   ///< what loops have corrected; identity without
   /// Row-major, as nav_msgs/Odometry has it: translation, then rotation about the fixed axes of
   /// odom.
   std::array<double, 36> covariance{};

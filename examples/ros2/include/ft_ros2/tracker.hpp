@@ -21,6 +21,7 @@ inline ft::odometry_params params_of(tracker_settings const& s) {
   p.orb.width = s.pair.width;
   p.orb.height = s.pair.height;
   p.orb.features = s.features;
+  p.loops.present = s.loops;
   if (s.imu) {
     p.imu.present = true;
     p.imu.T_bc = rigid_of(s.imu->T_imu_camera);
@@ -44,7 +45,7 @@ class tracker {
 public:
   /// @throws std::runtime_error for settings that cannot be, and for a GPU without CUDA
   explicit tracker(tracker_settings const& s)
-      : pair_(s.pair), base_(s.T_base_camera), odometry_(odometry_of(s)) {}
+      : pair_(s.pair), base_(s.T_base_camera), loops_(s.loops), odometry_(odometry_of(s)) {}
 
   /// Waits for the pose. @param left,right grey, width x height bytes without padding
   /// @param time_ns later than that of the frame before @throws std::runtime_error if it is not
@@ -68,8 +69,9 @@ public:
     for (std::string const& said : ft::imu_warnings(t.imu, odometry_.params().imu)) {
       e.imu_warning += (e.imu_warning.empty() ? "" : "; ") + said;
     }
+    if (loops_) { e.T_map_odom = base_.correction(t.T_world_odom); }
     if (e.tracked) {
-      base_.take(t.T_world_camera, t.covariance, time_ns, e);
+      base_.take(loops_ ? t.T_odom_camera : t.T_world_camera, t.covariance, time_ns, e);
     } else {
       base_.skip();
     }
@@ -87,6 +89,7 @@ public:
 private:
   rectified_pair pair_;
   base_frame base_;
+  bool loops_ = false;
   ft::any_odometry odometry_;
 };
 

@@ -22,7 +22,9 @@ if ft_find_nvcc; then cuda=ON; fi
 # code is only compiled, to PTX. CUDA 12.9 and newer have --Ofast-compile.
 fast=
 host_flags="-O0 -DNDEBUG"
-if grep -q '^FT_HAS_WIDE_VECTORS:.*=1' "$build/CMakeCache.txt"; then host_flags+=" -mavx2 -mpopcnt"; fi  # stages once
+if grep -q '^FT_FAST_COMPILE:BOOL=ON' "$build/CMakeCache.txt" && grep -q '^FT_HAS_WIDE_VECTORS:.*=1' "$build/CMakeCache.txt"; then
+  host_flags+=" -mavx2 -mpopcnt"  # as the library: stages once, for this processor
+fi
 architecture=90
 if [[ $cuda == ON ]] && ! nvidia-smi -L 2>/dev/null | grep -q '^GPU'; then
   architecture=90-virtual

@@ -6,7 +6,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <memory>
 #include <utility>
 
@@ -22,7 +21,6 @@
 #include "integration/orbslam3/device_words.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
-#include "integration/orbslam3/pose_ahead.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
 namespace ft {
@@ -81,7 +79,6 @@ public:
   frame_arrays const& frame(int buffer) override { return frames_.arrays(buffer); }
 
   void extract(extraction_request const& request) override {
-    drop_pose(true);
     settle();
     times_ = {};
     if (clock_.enabled()) {
@@ -136,8 +133,6 @@ public:
 
   void send(int buffer, frame_part part) override {
     if (part == frame_part::keypoints && stereo_of_ == buffer) { stereo_of_ = -1; }
-    if (pose_ahead_.started() == buffer && part != frame_part::holder) { drop_pose(false); }
-    pose_ahead_.changed(buffer);
     frames_.send(exec_, up_, buffer, part);
   }
 
@@ -147,17 +142,12 @@ public:
   }
   void reserve_map(int slots) override {
     if (change_queued_) { wait(); }
-    settle();  // an optimisation that was started reads the map
+    settle();
     if (map_.reserve(exec_, slots)) { graphs_.clear(); }
   }
   void change_map(map_change const& change, std::uint32_t const* words) override {
     std::size_t const n = change.words();
     if (n == 0) { return; }
-    int const ahead = pose_ahead_.started();
-    if (ahead >= 0 &&
-        pose_ahead_.moves_held(change, words, frames_.arrays(ahead).holder, frames_.numbers())) {
-      drop_pose(false);
-    }
     if (change_queued_) { wait(); }
     start();
     map_.change(exec_, change, words);
@@ -178,7 +168,6 @@ public:
   recorded_sight* recorded_sights(int count) override { return searches_.recorded_sights(count); }
 
   int search_last_frame(last_frame_request const& r) override {
-    drop_pose(true);
     searches_.set_last_frame(r);
     begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.current, r.image);
@@ -192,15 +181,11 @@ public:
              clock_.mark(exec, computed);
              searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
            });
-    clock_.mark(exec_, transferred);
-    start_pose(pose_ahead::after::last_frame, r.current, r.T_cw);
-    count_download(sizeof(int) + frames_.holder_bytes());
-    wait_for_matches();
+    finish(sizeof(int) + frames_.holder_bytes());
     return searches_.matches();
   }
 
   points_in_view search_local_map(local_map_request const& r) override {
-    drop_pose(true);
     searches_.set_local_map(exec_, up_, r);
     times_ = {};
     begin(searches_.input_bytes);
@@ -227,7 +212,6 @@ public:
       choice(exec_);
     }
     clock_.mark(exec_, transferred);
-    start_pose(pose_ahead::after::local_map, r.buffer, r.T_cw);
     sights_there_.wait();
     points_in_view const found = searches_.in_view();
     count_download(sizeof(int) + frames_.holder_bytes() +
@@ -237,13 +221,12 @@ public:
     return found;
   }
   int local_matches() override {
-    wait_for_matches();
+    wait();
+    times_ = times_of(clock_);
     return searches_.matches();
   }
 
   pose_result optimize_pose(int buffer, pose const& T_cw) override {
-    if (pose_ahead_.take(buffer, T_cw)) { return take_pose(buffer); }
-    drop_pose(false);
     searches_.set_pose(T_cw);
     begin(searches_.input_bytes);
     auto const call = context_of(buffer);
@@ -259,7 +242,6 @@ public:
   }
 
   int search_keyframe(keyframe_search_request const& r) override {
-    drop_pose(true);
     searches_.set_pose(r.T_cw);
     begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.frame, r.image);
@@ -275,11 +257,10 @@ public:
 
   float* point_distances() override { return inertial_.distances(); }
   inertial_result optimize_inertial_pose(inertial_request const& r) override {
-    drop_pose(true);
     int const mount = inertial_.set(r);
     begin(inertial_.input_bytes());
     auto const call = context_of(r.buffer);
-    replay(call_key::of(6, r.buffer, mount, {}, 0, 0), [&](Exec const& exec) {
+    replay(call_key::of(5, r.buffer, mount, {}, 0, 0), [&](Exec const& exec) {
       inertial_.upload(exec);
       clock_.mark(exec, transferred);
       inertial_.queue(exec, {call.frame, call.map, call.geometry});
@@ -306,48 +287,6 @@ private:
     clock_.enabled() ? queue(exec_) : graphs_.replay(exec_, key, queue);
   }
 
-  /// Marks the end of a search, and starts the pose optimisation that probably follows it. Not
-  /// while times are measured, so that each call has its own.
-  void start_pose(pose_ahead::after search, int buffer, pose const& T_cw) {
-    matches_there_.set(exec_);
-    if (!settings_.poses_ahead || clock_.enabled()) { return; }
-    if (!pose_ahead_.expect(search, buffer, T_cw)) { return; }
-    auto const call = context_of(buffer);
-    replay(call_key::of(5, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
-      searches_.queue_pose(exec, call);
-      searches_.download_pose_ahead(exec, call.frame);
-    });
-  }
-  /// Waits for a search; an optimisation behind it may still be in flight.
-  void wait_for_matches() {
-    if (pose_ahead_.started() < 0) {
-      wait();
-    } else {
-      matches_there_.wait();
-      change_queued_ = false;
-      started_ = false;
-      in_flight_ = true;
-    }
-    times_ = times_of(clock_);
-  }
-  /// The result of the optimisation that was started.
-  pose_result take_pose(int buffer) {
-    wait();
-    count_download(sizeof(pose) + sizeof(int) + frames_.holder_bytes());
-    std::memcpy(frames_.arrays(buffer).holder, searches_.kept(), frames_.holder_bytes());
-    return searches_.optimized();
-  }
-  /// Does without the optimisation that was started. It has changed the frame's holders, which are
-  /// therefore sent again. @param unwanted tracking has gone on, so it will not be asked for
-  void drop_pose(bool unwanted) {
-    int const buffer = pose_ahead_.started();
-    if (unwanted) {
-      pose_ahead_.give_up();
-    } else {
-      pose_ahead_.forget();
-    }
-    if (buffer >= 0) { frames_.send(exec_, up_, buffer, frame_part::holder); }
-  }
   thread_device<Exec> device_;
   settings settings_;
   helper_threads helpers_;
@@ -358,8 +297,6 @@ private:
   device_inertial<Exec, Rig> inertial_;
   call_graphs<Exec> graphs_;
   stream_mark<Exec> sights_there_;
-  stream_mark<Exec> matches_there_;
-  pose_ahead pose_ahead_;
   int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
 

@@ -8,12 +8,9 @@
 #include <cstddef>
 #include <cstring>
 #include <future>
-#include <type_traits>
-#include <utility>
 #include <vector>
 
 #include "integration/orbslam3/device_tracker.hpp"
-#include "integration/orbslam3/drawn_points.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 
@@ -64,10 +61,9 @@ class local_map {
 public:
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
-  using projections = std::decay_t<decltype(std::declval<frame_type&>().mmProjectPoints)>;
 
   local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s)
-      : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks), drawn_(s.map_points) {}
+      : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks) {}
 
   /// Fills the request of a search for `points`, and their slots on the device.
   /// @return number of points that are tested
@@ -112,7 +108,7 @@ public:
     int const parts = (seen.count + sights_at_a_time - 1) / sights_at_a_time;
     device_->helpers().share(drawn + parts, [&](int i) {
       if (i < drawn) {
-        draw(frame, seen);
+        draw(frame, points, seen);
       } else {
         int const first = (i - drawn) * sights_at_a_time;
         write_sights(points, seen, first, std::min(first + sights_at_a_time, seen.count));
@@ -219,16 +215,15 @@ private:
                      p.mnTrackScaleLevelR}});
     }
   }
-  void draw(frame_type& frame, points_in_view const& seen) {
-    using place = typename drawn_points<projections>::place;
-    drawn_.begin();
+  /// Of equal numbers the last one counts, as in the original.
+  static void draw(frame_type& frame, std::vector<map_point*> const& points,
+                   points_in_view const& seen) {
+    auto& drawn = frame.mmProjectPoints;
     for (int k = 0; k < seen.count; ++k) {
       visibility const& left = seen.by[0][k];
       if (left.level < 0) { continue; }
-      int const slot = likely_[index(seen.index[k])];
-      drawn_.put(slot, mirror_->id(slot), place(left.x, left.y));
+      drawn[points[index(seen.index[k])]->mnId] = {left.x, left.y};
     }
-    drawn_.move_to(frame.mmProjectPoints);
   }
   static void prefetch_soon(std::vector<map_point*> const& points, int i) {
     auto const soon = static_cast<std::size_t>(i) + 8;
@@ -253,7 +248,6 @@ private:
   std::vector<int> likely_;  ///< slots of the last local map; most are at the same place again
   std::vector<recorded_sight> recorded_;
   std::vector<part> parts_;
-  drawn_points<projections> drawn_;
 };
 
 }  // namespace orbslam3

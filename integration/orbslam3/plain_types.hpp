@@ -57,8 +57,6 @@ struct settings : orb_params {
   /// an earlier frame.
   bool reference_quirks = true;
   bool orientation_check = true;  ///< of the searches from the last frame and a keyframe
-  /// Starts pose optimisation behind each search, before it is asked for (pose_ahead.hpp).
-  bool poses_ahead = true;
   /// Levels of the vocabulary above the deepest one at which keypoints are grouped, 0 to 10.
   int levels_up = 4;
 };

@@ -151,19 +151,6 @@ public:
   }
   /// Waits for the keypoints of extract(); stereo matches may still be in flight.
   void wait_for_features() const { features_there_.wait(); }
-  /// Enqueues the same launch by launch, with marks of the clock.
-  void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames,
-                        extraction_request const& r, stage_clock<Exec>& clock) {
-    if (follow(r.lens)) { record_features(exec, frames); }
-    stage_whole(r.left, r.right);
-    clock.begin(exec);
-    receive_images(exec, all_sources_, extractor_.pyramid());
-    clock.mark(exec, transferred);
-    queue_features(exec, frames, r.buffer, no_sources_);
-    if (pair()) { queue_stereo(exec, frames, r.buffer, true); }
-    make_grid(exec, frames, r);
-    clock.mark(exec, computed);
-  }
 
   /// Enqueues the pyramids of two images.
   void build_pyramids(Exec const& exec, gray_view const& left, gray_view const& right) {

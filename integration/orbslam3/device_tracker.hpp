@@ -20,8 +20,7 @@ namespace orbslam3 {
 /// enqueued, which is between a call that waits and the next send(). One thread at a time, except
 /// for what says otherwise. All throw ft::error (bad_argument, cuda_error).
 ///
-/// The calls about words and solve_pnp() depend on no frame here. bytes() and times() do not count
-/// them.
+/// The calls about words and solve_pnp() depend on no frame here. bytes() does not count them.
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -118,10 +117,6 @@ public:
 
   virtual traffic bytes() const = 0;
   virtual void reset_bytes() = 0;
-  /// From now on device times are measured. Once, before other calls.
-  virtual void measure() = 0;
-  /// Times of the last call that waited.
-  virtual device_times times() const = 0;
 };
 
 }  // namespace orbslam3

@@ -439,7 +439,7 @@ TEST(call_times, know_percentiles) {
 
 class shim_statistics : public on_executor {};
 
-TEST_P(shim_statistics, are_there_when_asked_for_and_add_up) {
+TEST_P(shim_statistics, are_there_when_asked_for) {
   for (bool const on : {false, true}) {
     scene s(sensor::stereo, 3);
     s.settings.most_keypoints = 2000;
@@ -449,21 +449,15 @@ TEST_P(shim_statistics, are_there_when_asked_for_and_add_up) {
     auto const local = s.local_map();
     for (int i = 0; i < 3; ++i) { gpu.search_local_points(s.current, local, 1); }
     auto const& t = gpu.times()[static_cast<std::size_t>(stage::search_local_map)];
-    EXPECT_EQ(t.calls, on ? 3 : 0);
-    EXPECT_EQ(gpu.times()[static_cast<std::size_t>(stage::extract)].calls, 0);
-    if (!on) {
-      EXPECT_EQ(t.total, 0);
-      continue;
-    }
-    EXPECT_GT(t.kernel, 0);
-    EXPECT_GT(t.transfer, 0);
-    EXPECT_GT(t.wrap, 0);
-    EXPECT_LT(t.wrap, t.total);
+    EXPECT_EQ(t.calls(), on ? 3 : 0);
+    EXPECT_EQ(gpu.times()[static_cast<std::size_t>(stage::extract)].calls(), 0);
+    EXPECT_EQ(t.longest() > 0, on);
+    if (!on) { continue; }
     std::ostringstream text;
     ft::orbslam3::print(text, gpu.times());
     EXPECT_EQ(text.str().find("search_local_map: 3 calls, p50 "), 0u) << text.str();
-    EXPECT_GE(t.totals.percentile(1), t.total / 3);
-    EXPECT_LE(t.totals.percentile(0.5), t.totals.percentile(1));
+    EXPECT_EQ(t.percentile(1), t.longest());
+    EXPECT_LE(t.percentile(0.5), t.percentile(1));
   }
 }
 

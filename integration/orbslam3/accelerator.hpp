@@ -171,8 +171,8 @@ public:
 
   // ---- words
 
-  /// Reads the vocabulary of compute_bow(): DBoW2's text, beside which ft's binary form is written,
-  /// or that form. Takes a second or so for a text of a million nodes. Before other threads call.
+  /// Reads the vocabulary of compute_bow(): DBoW2's text, or ft's binary form. Takes a second or so
+  /// for a text of a million nodes. Before other threads call.
   /// @param expected what the vocabulary must say, see vocabulary_facts; nullptr: anything
   /// @throws error if there is none that can be read, or another one
   void load_vocabulary(std::string const& path, vocabulary_facts const* expected = nullptr) {

@@ -14,10 +14,15 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/map_mirror.hpp"
 
 namespace ft {
 namespace orbslam3 {
+
+/// How changes of map points are found.
+enum class change_detection {
+  compare,  ///< every point of a call is read and compared with the values sent
+  hooks,    ///< only points pushed into the change_queue are read
+};
 
 enum class stage {
   extract,

@@ -98,8 +98,8 @@ public:
   /// -1, unless the request is refused.
   virtual inertial_result optimize_inertial_pose(inertial_request const& request) = 0;
 
-  /// Reads a vocabulary, as read_vocabulary() of vocabulary_file.hpp. For set-up: allocates.
-  /// @param expected as require_same() of vocabulary_file.hpp; nullptr: anything
+  /// Reads a vocabulary, as ft::read_vocabulary(). For set-up: allocates.
+  /// @param expected as require_same() of vocabulary_facts.hpp; nullptr: anything
   virtual void load_vocabulary(std::string const& path, vocabulary_facts const* expected) = 0;
   virtual bool has_vocabulary() const = 0;
   /// Words of a frame's descriptors and the groups of its keypoints; without a vocabulary none.

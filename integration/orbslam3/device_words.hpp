@@ -12,6 +12,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/containers/vocabulary.hpp"
+#include "ft/containers/vocabulary_text.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -24,7 +25,7 @@
 #include "ft/types/poses.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/plain_types.hpp"
-#include "integration/orbslam3/vocabulary_file.hpp"
+#include "integration/orbslam3/vocabulary_facts.hpp"
 
 namespace ft {
 namespace orbslam3 {

@@ -15,7 +15,7 @@
 #include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
-#include "integration/orbslam3/vocabulary_file.hpp"
+#include "integration/orbslam3/vocabulary_facts.hpp"
 
 namespace ft {
 namespace orbslam3 {

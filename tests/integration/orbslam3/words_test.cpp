@@ -18,6 +18,8 @@
 #include <utility>
 #include <vector>
 
+#include "ft/containers/vocabulary_files.hpp"
+#include "ft/containers/vocabulary_text.hpp"
 #include "integration/orbslam3/front_end.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/heard.hpp"
@@ -312,7 +314,7 @@ TEST_P(words, without_a_vocabulary_are_the_cpus) {
     });
     EXPECT_EQ(calls, 1);
     EXPECT_EQ(said.lines(), path.empty() ? 0 : 1) << said.text();
-    EXPECT_TRUE(path.empty() || said.has("missing.txt' cannot be opened"));
+    EXPECT_TRUE(path.empty() || said.has("missing.txt': cannot be opened"));
     // The others go on.
     auto k = v.keyframe;
     plain.transform(k, up);

@@ -1,19 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The vocabulary that ORB-SLAM3 is started with, from its file.
+/// @file What tells the vocabulary of a file from the one that ORB-SLAM3 is started with.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
-#include <fstream>
 #include <string>
 #include <vector>
 
 #include "ft/containers/vocabulary.hpp"
 #include "ft/containers/vocabulary_files.hpp"
-#include "ft/containers/vocabulary_text.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/memory.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft {
@@ -68,19 +64,6 @@ inline void require_same(std::string const& path, vocabulary_facts const& got,
   same("number of words", got.words, want.words);
   same("hash of the words' descriptors", got.descriptors, want.descriptors);
   same("hash of the words' weights", got.weights, want.weights);
-}
-
-/// Reads DBoW2's text form, or ft's binary form.
-/// @throws error for a file that cannot be opened or is no vocabulary; bad_argument, std::bad_alloc
-inline vocabulary<memory_space::host> read_vocabulary(std::string const& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) { throw error("ft: the vocabulary '" + path + "' cannot be opened"); }
-  char first[sizeof "ft vocabulary"] = {};
-  file.read(first, sizeof first);
-  file.clear();
-  file.seekg(0);
-  bool const binary = std::memcmp(first, "ft vocabulary", sizeof first) == 0;
-  return binary ? load_vocabulary(file) : read_vocabulary_text(file);
 }
 
 }  // namespace FT_ABI

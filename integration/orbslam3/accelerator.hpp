@@ -315,7 +315,7 @@ private:
   }
   map_mirror<map_point> mirror_;
   held_points<Types> held_{*device_, mirror_, frames_};
-  local_map<Types> local_{*device_, mirror_, settings_};
+  local_map<Types> local_{*device_, mirror_, settings_, options_.fills_projected_points};
   local_room room_{*device_};
   std::mutex words_mutex_;          ///< of transform_words() and its statistics
   std::vector<int> pnp_keypoints_;  ///< of the correspondences of a pose

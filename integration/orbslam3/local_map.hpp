@@ -8,6 +8,8 @@
 #include <cstddef>
 #include <cstring>
 #include <future>
+#include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "integration/orbslam3/device_tracker.hpp"
@@ -62,8 +64,9 @@ public:
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
 
-  local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s)
-      : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks) {}
+  /// @param draws whether mmProjectPoints are filled
+  local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s, bool draws)
+      : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks), drawn_(draws ? 1 : 0) {}
 
   /// Fills the request of a search for `points`, and their slots on the device.
   /// @return number of points that are tested
@@ -104,13 +107,12 @@ public:
   /// Writes the tracked values of the points in view, and their counters.
   void write_sights(frame_type& frame, std::vector<map_point*> const& points,
                     points_in_view const& seen) {
-    constexpr int drawn = 1;  // the longest part is started first
     int const parts = (seen.count + sights_at_a_time - 1) / sights_at_a_time;
-    device_->helpers().share(drawn + parts, [&](int i) {
-      if (i < drawn) {
-        draw(frame, points, seen);
+    device_->helpers().share(drawn_ + parts, [&](int i) {
+      if (i < drawn_) {  // the longest part is started first
+        draw(frame, seen);
       } else {
-        int const first = (i - drawn) * sights_at_a_time;
+        int const first = (i - drawn_) * sights_at_a_time;
         write_sights(points, seen, first, std::min(first + sights_at_a_time, seen.count));
       }
     });
@@ -215,14 +217,19 @@ private:
                      p.mnTrackScaleLevelR}});
     }
   }
-  /// Of equal numbers the last one counts, as in the original.
-  static void draw(frame_type& frame, std::vector<map_point*> const& points,
-                   points_in_view const& seen) {
-    auto& drawn = frame.mmProjectPoints;
+  /// Of equal numbers the last one counts, as in the original. In order, nodes are put at the end.
+  void draw(frame_type& frame, points_in_view const& seen) {
+    in_order_.clear();
     for (int k = 0; k < seen.count; ++k) {
+      if (seen.by[0][k].level < 0) { continue; }
+      in_order_.emplace_back(mirror_->id(likely_[index(seen.index[k])]), k);
+    }
+    std::sort(in_order_.begin(), in_order_.end());
+    auto& drawn = frame.mmProjectPoints;
+    using place = typename std::decay_t<decltype(drawn)>::mapped_type;
+    for (auto const& [id, k] : in_order_) {
       visibility const& left = seen.by[0][k];
-      if (left.level < 0) { continue; }
-      drawn[points[index(seen.index[k])]->mnId] = {left.x, left.y};
+      drawn.insert_or_assign(drawn.end(), id, place(left.x, left.y));
     }
   }
   static void prefetch_soon(std::vector<map_point*> const& points, int i) {
@@ -244,10 +251,13 @@ private:
   device_tracker* device_;
   map_mirror<map_point>* mirror_;
   bool quirks_;
+  int drawn_;  ///< parts of the work that fill mmProjectPoints: 1 or 0
   int* slots_ = nullptr;
   std::vector<int> likely_;  ///< slots of the last local map; most are at the same place again
   std::vector<recorded_sight> recorded_;
   std::vector<part> parts_;
+  std::vector<std::pair<std::size_t, int>>
+      in_order_;  ///< number of a point in view, its place there
 };
 
 }  // namespace orbslam3

@@ -99,6 +99,8 @@ public:
     entries_[index(slot)].used_in = call_;
     return true;
   }
+  /// After visit(): the point's mnId.
+  std::size_t id(int slot) const { return entries_[index(slot)].id; }
   /// After visit(): whether the point was bad when it was read.
   bool bad(int slot) const { return entries_[index(slot)].bad; }
   /// The point in a slot that the last call has visited.

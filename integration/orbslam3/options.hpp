@@ -83,6 +83,8 @@ struct options {
   change_detection detection = change_detection::compare;
   bool statistics = false;
   bool verify = false;  ///< for the call sites: run both and compare, see verify.hpp
+  /// Whether the search of a local map fills Frame::mmProjectPoints, which only a viewer draws.
+  bool fills_projected_points = true;
   std::array<stage_mode, stage_count> modes{};  ///< by stage; all on the device
   /// File of the vocabulary for `transform`, which front_end loads: DBoW2's text, or ft's binary
   /// form. Empty: ORB-SLAM3's own code transforms.
@@ -130,7 +132,8 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
 
 /// `o` with the changes of the environment: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of
 /// stages, the first of which replaces what `o` leaves to the CPU; FT_ORBSLAM3_STATISTICS and
-/// FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_COMPARE=1 finds changes of map points by comparing;
+/// FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_PROJECTED_POINTS=0 leaves mmProjectPoints empty;
+/// FT_ORBSLAM3_COMPARE=1 finds changes of map points by comparing;
 /// FT_ORBSLAM3_VOCABULARY is the vocabulary's path.
 /// @throws bad_argument as set_modes()
 inline options from_environment(options o = {}) {
@@ -148,6 +151,7 @@ inline options from_environment(options o = {}) {
   set_modes(o, text("FT_ORBSLAM3_BYPASS"), stage_mode::bypass);
   flag("FT_ORBSLAM3_STATISTICS", o.statistics);
   flag("FT_ORBSLAM3_VERIFY", o.verify);
+  flag("FT_ORBSLAM3_PROJECTED_POINTS", o.fills_projected_points);
   bool compare = false;
   flag("FT_ORBSLAM3_COMPARE", compare);
   if (compare) { o.detection = change_detection::compare; }

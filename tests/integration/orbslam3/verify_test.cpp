@@ -396,8 +396,9 @@ TEST(shim_options, come_from_the_environment) {
   setenv("FT_ORBSLAM3_BYPASS", "pose_local_map", 1);
   setenv("FT_ORBSLAM3_STATISTICS", "1", 1);
   setenv("FT_ORBSLAM3_VERIFY", "0", 1);
+  setenv("FT_ORBSLAM3_PROJECTED_POINTS", "0", 1);
   auto const o = ft::orbslam3::from_environment();
-  for (char const* name : {"HOST", "BYPASS", "STATISTICS", "VERIFY"}) {
+  for (char const* name : {"HOST", "BYPASS", "STATISTICS", "VERIFY", "PROJECTED_POINTS"}) {
     unsetenv((std::string("FT_ORBSLAM3_") + name).c_str());
   }
   EXPECT_EQ(o[stage::extract], stage_mode::host);
@@ -406,6 +407,7 @@ TEST(shim_options, come_from_the_environment) {
   EXPECT_EQ(o[stage::pose_local_map], stage_mode::bypass);
   EXPECT_TRUE(o.statistics);
   EXPECT_FALSE(o.verify);
+  EXPECT_FALSE(o.fills_projected_points);
 }
 
 TEST(shim_options, take_all_stages_at_once_and_refuse_unknown_ones) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The shim's calls frame by frame while a mapper adds and moves points: the time of each
-/// call, and its share of kernels, transfers, and the host's own work.
+/// call.
 #pragma once
 
 #include <Eigen/Core>
@@ -37,12 +37,10 @@ public:
   using accelerator = ft::orbslam3::accelerator<stand_in::types>;
   using stage = ft::orbslam3::stage;
 
-  live_run(live_options const& o, std::unique_ptr<ft::orbslam3::device_tracker> device,
-           bool statistics)
+  live_run(live_options const& o, std::unique_ptr<ft::orbslam3::device_tracker> device)
       : options_(o),
         settings_(kitti()),
-        statistics_(statistics),
-        gpu_(std::move(device), settings_, choices(statistics)),
+        gpu_(std::move(device), settings_, choices()),
         hooks_(gpu_) {
     for (int i = 0; i < 2; ++i) {
       left_[i] = picture(settings_, 2 * i);
@@ -83,7 +81,6 @@ public:
     }
   }
   std::map<std::string, std::vector<double>> const& totals() const { return totals_; }
-  std::map<std::string, std::vector<double>> const& parts() const { return parts_; }
   nlohmann::json facts() const {
     auto const frames = static_cast<double>(options_.frames);
     return {{"keypoints", keypoints_},
@@ -108,31 +105,22 @@ private:
     accelerator* gpu;
   };
 
-  static ft::orbslam3::options choices(bool statistics) {
+  static ft::orbslam3::options choices() {
     ft::orbslam3::options c;
     c.detection = ft::orbslam3::change_detection::hooks;
-    c.statistics = statistics;
     return c;
   }
 
-  /// Calls f and notes its time, and its parts as the accelerator reports them.
+  /// Calls f and notes its time.
   template <typename F>
   auto timed(stage s, F const& f) {
-    gpu_.reset_times();
     auto const begin = std::chrono::steady_clock::now();
     auto const result = f();
     double const us =
         std::chrono::duration<double, std::micro>(std::chrono::steady_clock::now() - begin).count();
     sum_ += us;
     if (!counted_) { return result; }
-    std::string const name = std::to_string(static_cast<int>(s)) + " " + name_of(s);
-    totals_[name].push_back(us);
-    if (statistics_) {
-      auto const& t = gpu_.times()[static_cast<std::size_t>(s)];
-      parts_[name + " kernel"].push_back(t.kernel);
-      parts_[name + " transfer"].push_back(t.transfer);
-      parts_[name + " wrap"].push_back(t.wrap);
-    }
+    totals_[std::to_string(static_cast<int>(s)) + " " + name_of(s)].push_back(us);
     return result;
   }
 
@@ -223,7 +211,6 @@ private:
 
   live_options options_;
   ft::orbslam3::settings settings_;
-  bool statistics_;
   accelerator gpu_;
   push_changes hooks_;
   stand_in::matrix left_[2];
@@ -235,38 +222,25 @@ private:
   int keypoints_ = 0;
   long matches_ = 0, inliers_ = 0, in_view_ = 0;
   std::map<std::string, std::vector<double>> totals_;
-  std::map<std::string, std::vector<double>> parts_;
 };
 
-/// Runs twice, the first time without the accelerator's statistics, and prints the times of the
-/// calls.
+/// Runs, and prints the times of the calls.
 /// @param make a device for settings
 template <typename Make>
 nlohmann::json run_live(live_options const& o, Make const& make) {
-  nlohmann::json out;
-  auto const note = [&](auto const& all) {
-    nlohmann::json j;
-    for (auto const& [name, v] : all) {
-      j[name] = {{"p50", live_run::quantile(v, 0.5)},
-                 {"p90", live_run::quantile(v, 0.9)},
-                 {"p99", live_run::quantile(v, 0.99)},
-                 {"max", live_run::quantile(v, 1)}};
-      if (o.samples) { j[name]["samples"] = v; }
-    }
-    return j;
-  };
-  {
-    live_run totals(o, make(kitti()), false);
-    totals.run();
-    totals.print("calls, statistics off", totals.totals());
-    out["total"] = note(totals.totals());
-    out["facts"] = totals.facts();
-    std::printf("%s\n", out["facts"].dump().c_str());
+  live_run calls(o, make(kitti()));
+  calls.run();
+  calls.print("calls", calls.totals());
+  nlohmann::json out{{"facts", calls.facts()}};
+  for (auto const& [name, v] : calls.totals()) {
+    nlohmann::json& j = out["total"][name];
+    j = {{"p50", live_run::quantile(v, 0.5)},
+         {"p90", live_run::quantile(v, 0.9)},
+         {"p99", live_run::quantile(v, 0.99)},
+         {"max", live_run::quantile(v, 1)}};
+    if (o.samples) { j["samples"] = v; }
   }
-  live_run parts(o, make(kitti()), true);
-  parts.run();
-  parts.print("parts of calls, statistics on", parts.parts());
-  out["parts"] = note(parts.parts());
+  std::printf("%s\n", out["facts"].dump().c_str());
   return out;
 }
 

@@ -57,7 +57,7 @@ public:
   /// the last frame's inliers in the current frame. Returns the number of matches.
   /// @throws bad_argument if the current frame holds map points: ORB-SLAM3 clears them first
   int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono) {
-    stage_timer timer(sums(stage::search_last_frame), *device_);
+    stage_timer const timer(sums(stage::search_last_frame));
     for (map_point const* const held : current.mvpMapPoints) {
       detail::require(held == nullptr, "the current frame holds map points before the search");
     }
@@ -74,7 +74,7 @@ public:
     request.image = frames_.bounds_of(current);
     request.window_radius = th;
     request.ignore_motion_direction = mono;
-    int const matches = timer.on_device([&] { return device_->search_last_frame(request); });
+    int const matches = device_->search_last_frame(request);
     held_.write_matches(request.current, current);
     return matches;
   }
@@ -87,7 +87,7 @@ public:
   /// Allocates and waits if !has_room_for(points.size()).
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points = false, float far_threshold = 50.0f) {
-    stage_timer timer(sums(stage::search_local_map), *device_);
+    stage_timer const timer(sums(stage::search_local_map));
     device_->helpers().wake();
     room_.follow(static_cast<int>(points.size()));
     map_call_end const end(mirror_);
@@ -103,9 +103,9 @@ public:
     request.image = frames_.bounds_of(frame);
     request.radius_factor = th;
     request.max_distance = far_points ? far_threshold : 0.0f;
-    auto const seen = timer.on_device([&] { return device_->search_local_map(request); });
+    auto const seen = device_->search_local_map(request);
     local_.write_sights(frame, points, seen);
-    int const matches = timer.on_device([&] { return device_->local_matches(); });
+    int const matches = device_->local_matches();
     // The original then searches nothing, not even the points that skip the frustum test.
     if (seen.count == 0) { return 0; }
     held_.write_matches(request.buffer, frame);
@@ -121,7 +121,7 @@ public:
   /// @param which stage this call is: pose_last_frame, pose_local_map (which options may bypass),
   ///   pose_reference_keyframe or pose_relocalization
   int pose_optimization(frame_type& frame, stage which) {
-    stage_timer timer(sums(which), *device_);
+    stage_timer const timer(sums(which));
     int held = 0;
     for (std::size_t i = 0; i < frame.mvpMapPoints.size(); ++i) {
       if (frame.mvpMapPoints[i] == nullptr) { continue; }
@@ -133,7 +133,7 @@ public:
     map_call_end const end(mirror_);
     int const b = held_.bind(frame);
     pose const start = transform_of(frame.GetPose());
-    pose_result const result = timer.on_device([&] { return device_->optimize_pose(b, start); });
+    pose_result const result = device_->optimize_pose(b, start);
     held_.write_outliers(b, frame);
     frame.SetPose(pose_of<std::decay_t<decltype(frame.GetPose())>>(result.T_cw));
     return result.inliers;
@@ -147,7 +147,7 @@ public:
   /// prior or an integral is not there, an integral has no steps, or a number is not finite.
   /// @param which pose_inertial_last_frame or pose_inertial_last_keyframe
   int inertial_pose_optimization(frame_type& frame, stage which) {
-    stage_timer timer(sums(which), *device_);
+    stage_timer const timer(sums(which));
     bool const from_last = which == stage::pose_inertial_last_frame;
     if (!can_optimize_inertial(frame, which)) { return call_refused; }
     inertial_request request = inertial_request_of(frame, from_last);
@@ -157,7 +157,7 @@ public:
     frames_.for_each_number(frame, [&](std::size_t i, int number) {
       distance[number] = held_.holds(frame, i) ? frame.mvpMapPoints[i]->mTrackDepth : 0.0f;
     });
-    auto const result = timer.on_device([&] { return device_->optimize_inertial_pose(request); });
+    auto const result = device_->optimize_inertial_pose(request);
     if (result.refused) { return call_refused; }
     held_.write_outliers(request.buffer, frame);
     take_inertial_result(frame, from_last, result);
@@ -171,8 +171,8 @@ public:
 
   // ---- words
 
-  /// Reads the vocabulary of compute_bow(): DBoW2's text, beside which ft's binary form is written,
-  /// or that form. Takes a second or so for a text of a million nodes. Before other threads call.
+  /// Reads the vocabulary of compute_bow(): DBoW2's text, or ft's binary form. Takes a second or so
+  /// for a text of a million nodes. Before other threads call.
   /// @param expected what the vocabulary must say, see vocabulary_facts; nullptr: anything
   /// @throws error if there is none that can be read, or another one
   void load_vocabulary(std::string const& path, vocabulary_facts const* expected = nullptr) {
@@ -191,8 +191,8 @@ public:
   void compute_bow(Frame& frame) {
     if (!frame.mBowVec.empty()) { return; }
     std::lock_guard<std::mutex> const lock(words_mutex_);
-    stage_timer timer(sums(stage::transform), *device_);
-    transform_frame(*device_, timer, frame);
+    stage_timer const timer(sums(stage::transform));
+    transform_frame(*device_, frame);
   }
 
   /// ORBmatcher(ratio, orientation_check).SearchByBoW(&keyframe, frame, matches): `matches` gets an
@@ -203,12 +203,10 @@ public:
   template <typename KeyFrame>
   int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
                     float ratio, bool orientation_check = true) {
-    stage_timer timer(sums(stage::search_by_bow), *device_);
+    stage_timer const timer(sums(stage::search_by_bow));
     std::vector<map_point*> const points = keyframe.GetMapPointMatches();
     if (!put_word_search(*device_, keyframe, frame, points)) { return call_refused; }
-    word_matches const found = timer.on_device_timed([&] {
-      return device_->search_by_words({ratio, orientation_check});
-    });
+    word_matches const found = device_->search_by_words({ratio, orientation_check});
     matches.assign(static_cast<std::size_t>(frame.mDescriptors.rows), nullptr);
     for (std::size_t i = 0; i < matches.size(); ++i) {
       int const from = found.match[i];
@@ -230,7 +228,7 @@ public:
   template <typename KeyFrame, typename Found>
   int search_keyframe(frame_type& frame, KeyFrame& keyframe, Found const& found, float th,
                       int max_distance) {
-    stage_timer timer(sums(stage::search_keyframe), *device_);
+    stage_timer const timer(sums(stage::search_keyframe));
     std::vector<map_point*> const points = keyframe.GetMapPointMatches();
     if (!can_search_keyframe(frames_, frame, keyframe, points.size())) { return call_refused; }
     map_call_end const end(mirror_);
@@ -245,7 +243,7 @@ public:
     request.image = frames_.bounds_of(frame);
     request.window_radius = th;
     request.max_hamming = max_distance;
-    int const matches = timer.on_device([&] { return device_->search_keyframe(request); });
+    int const matches = device_->search_keyframe(request);
     held_.write_matches(request.frame, frame);
     return matches;
   }
@@ -261,14 +259,14 @@ public:
   /// @param progress of this frame and these matches
   int solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
                 pnp_progress& progress, pnp_answer const& to) {
-    stage_timer timer(sums(stage::solve_pnp), *device_);
+    stage_timer const timer(sums(stage::solve_pnp));
     if (!put_correspondences(frame, frames_.keys(frame, 0), matches, device_->correspondences(),
                              pnp_keypoints_)) {
       return call_refused;
     }
     pnp_progress turn = progress;
     turn.seed += frame.mnId;
-    pnp_found const found = timer.on_device_timed([&] { return device_->solve_pnp(turn); });
+    pnp_found const found = device_->solve_pnp(turn);
     turn.seed = progress.seed;
     progress = turn;
     take_pnp(found, pnp_keypoints_, matches.size(), to);
@@ -300,7 +298,6 @@ public:
   // ---- inputs and outputs of frames
 
   statistics const& times() const { return statistics_; }
-  void reset_times() { statistics_ = {}; }
   traffic bytes() const { return device_->bytes(); }
   void reset_bytes() { device_->reset_bytes(); }
   map_mirror<map_point> const& mirror() const { return mirror_; }
@@ -318,7 +315,7 @@ private:
   }
   map_mirror<map_point> mirror_;
   held_points<Types> held_{*device_, mirror_, frames_};
-  local_map<Types> local_{*device_, mirror_, settings_};
+  local_map<Types> local_{*device_, mirror_, settings_, options_.fills_projected_points};
   local_room room_{*device_};
   std::mutex words_mutex_;          ///< of transform_words() and its statistics
   std::vector<int> pnp_keypoints_;  ///< of the correspondences of a pose

@@ -100,7 +100,7 @@ public:
     memory_ = arena<space>([&](carver& c) { carve(c, right_rows_, rows, capacity(), 1); });
     host_memory_ = arena<staging>([&](carver& c) {
       images_ = c.take<std::uint8_t>(2 * image_bytes());
-      c.place(2, sources_, all_sources_, no_sources_, rest_sources_);
+      c.place(2, sources_, all_sources_);
     });
     std::memset(host_memory_.data(), 0, host_memory_.bytes());
     for (int i = 0; i < 2; ++i) { stage_with(i, extractor_.geometry().stride[0]); }
@@ -140,9 +140,14 @@ public:
   void extract(Exec const& exec, device_frames<Exec, Rig>& frames, extraction_request const& r) {
     int const b = r.buffer;
     if (follow(r.lens)) { record_features(exec, frames); }
-    stage_and_receive(exec, r);
-    feature_recordings_[b].replay(exec,
-                                  [&](Exec const& e) { queue_features(e, frames, b, sources_); });
+    stage(0, r.left);
+    if (pair()) {
+      image_pyramid_view first = extractor_.pyramid();
+      first.batch = 1;
+      receive_images(exec, all_sources_, first);
+      stage(1, r.right);
+    }
+    feature_recordings_[b].replay(exec, [&](Exec const& e) { queue_features(e, frames, b); });
     features_there_.set(exec);
     if (pair()) {
       stereo_recordings_[b].replay(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
@@ -151,23 +156,11 @@ public:
   }
   /// Waits for the keypoints of extract(); stereo matches may still be in flight.
   void wait_for_features() const { features_there_.wait(); }
-  /// Enqueues the same launch by launch, with marks of the clock.
-  void extract_measured(Exec const& exec, device_frames<Exec, Rig>& frames,
-                        extraction_request const& r, stage_clock<Exec>& clock) {
-    if (follow(r.lens)) { record_features(exec, frames); }
-    stage_whole(r.left, r.right);
-    clock.begin(exec);
-    receive_images(exec, all_sources_, extractor_.pyramid());
-    clock.mark(exec, transferred);
-    queue_features(exec, frames, r.buffer, no_sources_);
-    if (pair()) { queue_stereo(exec, frames, r.buffer, true); }
-    make_grid(exec, frames, r);
-    clock.mark(exec, computed);
-  }
 
   /// Enqueues the pyramids of two images.
   void build_pyramids(Exec const& exec, gray_view const& left, gray_view const& right) {
-    stage_whole(left, right);
+    stage(0, left);
+    if (pair()) { stage(1, right); }
     receive_images(exec, all_sources_, extractor_.pyramid());
     extractor_.build_pyramids(exec);
   }
@@ -216,76 +209,31 @@ private:
            static_cast<std::size_t>(settings_.height);
   }
 
-  /// Rows of the upper half of an image.
-  int half_height() const {
-    int const bands = ceil_div(settings_.height, rows_at_a_time);
-    return std::min(ceil_div(bands, 2) * rows_at_a_time, settings_.height);
-  }
   /// Sets the stride of an image in the staging memory.
   void stage_with(int i, int stride) {
     all_sources_[i] = {images_ + static_cast<std::size_t>(i) * image_bytes(), stride};
-    no_sources_[i] = {nullptr, stride};
-    rest_sources_[i] = all_sources_[i];
-    rest_sources_[i].first_row = half_height();
-    // All but the last half of the last image is transferred while the host copies the rest.
-    sources_[i] = pair() && i == 0 ? no_sources_[i] : rest_sources_[i];
+    // The first image of a pair is transferred while the host copies the other one.
+    sources_[i] = all_sources_[i];
+    if (pair() && i == 0) { sources_[i].data = nullptr; }
   }
-  /// Rows without gaps, as most images have them, are copied many at a time.
-  static bool is_packed(gray_view const& image) {
-    return image.stride == image.width && image.width % 16 == 0;
-  }
-  void begin_staging(int i, gray_view const& image) {
-    require_size(image);
-    stage_with(i, is_packed(image) ? image.width : extractor_.geometry().stride[0]);
-  }
-  void stage_whole(gray_view const& left, gray_view const& right) {
-    for (int i = 0; i < settings_.images; ++i) {
-      gray_view const& image = i == 0 ? left : right;
-      begin_staging(i, image);
-      stage_rows(i, image, 0, settings_.height);
-    }
-  }
-  /// Copies the images half by half, and enqueues the transfer of each half but the last, which the
-  /// recorded launches receive.
-  void stage_and_receive(Exec const& exec, extraction_request const& r) {
-    begin_staging(0, r.left);
-    if (pair()) { begin_staging(1, r.right); }
-    for (int i = 0; i < settings_.images; ++i) {
-      gray_view const& image = i == 0 ? r.left : r.right;
-      stage_rows(i, image, 0, half_height());
-      receive_band(exec, i, 0);
-      stage_rows(i, image, half_height(), settings_.height);
-      if (i + 1 < settings_.images) { receive_band(exec, i, 1); }
-    }
-  }
-  /// @param half 0 the upper one, 1 the lower one
-  void receive_band(Exec const& exec, int image, int half) {
-    image_pyramid_view to = extractor_.pyramid();
-    to.data += image * to.geometry.bytes;
-    to.batch = 1;
-    if (half == 0) { to.geometry.height[0] = half_height(); }
-    receive_images(exec, (half == 0 ? all_sources_ : rest_sources_) + image, to);
-  }
-  void require_size(gray_view const& image) const {
+  /// Copies an image to the staging memory that the executor reads, in parts shared among the
+  /// helper threads. Rows without gaps, as most images have them, are copied many at a time.
+  void stage(int i, gray_view const& image) {
     detail::require(image.data != nullptr && image.width == settings_.width &&
                         image.height == settings_.height && image.stride >= image.width,
                     "the image is null, or of another size than the settings say");
-  }
-  /// Copies rows [first, last) to the staging memory that the executor reads, in parts shared among
-  /// the helper threads.
-  void stage_rows(int i, gray_view const& image, int first, int last) {
+    bool const packed = image.stride == image.width && image.width % 16 == 0;
+    stage_with(i, packed ? image.width : extractor_.geometry().stride[0]);
     auto const stride = static_cast<std::size_t>(all_sources_[i].stride);
     std::uint8_t* const to = images_ + static_cast<std::size_t>(i) * image_bytes();
-    auto const width = static_cast<std::size_t>(image.width);
-    bool const packed = is_packed(image) && stride == width;
-    helpers_.share(ceil_div(last - first, rows_at_a_time), [&](int part) {
-      int const begin = first + part * rows_at_a_time;
-      int const end = std::min(begin + rows_at_a_time, last);
+    helpers_.share(ceil_div(image.height, rows_at_a_time), [&](int part) {
+      int const begin = part * rows_at_a_time;
+      int const end = std::min(begin + rows_at_a_time, image.height);
       int const rows = packed ? end - begin : 1;
       for (int y = begin; y < end; y += rows) {
         std::memcpy(to + static_cast<std::size_t>(y) * stride,
                     image.data + static_cast<std::ptrdiff_t>(y) * image.stride,
-                    static_cast<std::size_t>(rows) * width);
+                    static_cast<std::size_t>(rows) * static_cast<std::size_t>(image.width));
       }
     });
   }
@@ -299,22 +247,20 @@ private:
   }
   void record_features(Exec const& exec, device_frames<Exec, Rig>& frames) {
     for (int b = 0; b < buffers; ++b) {
-      feature_recordings_[b].record(exec,
-                                    [&](Exec const& e) { queue_features(e, frames, b, sources_); });
+      feature_recordings_[b].record(exec, [&](Exec const& e) { queue_features(e, frames, b); });
     }
   }
   /// Copies keypoints into the frame and to the host. For a pair, whose keypoints are searched at
   /// their extracted positions, builds the grid, too.
-  void queue_features(Exec const& exec, device_frames<Exec, Rig>& frames, int b,
-                      image_source const* sources) {
+  void queue_features(Exec const& exec, device_frames<Exec, Rig>& frames, int b) {
     device_frame& f = frames[b];
     if (pair()) {
       feature_grid_view grids = f.grids;
       grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
       keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
-      extractor_.extract_from(exec, sources, all_grids);
+      extractor_.extract_from(exec, sources_, all_grids);
     } else {
-      extractor_.extract_from(exec, sources);
+      extractor_.extract_from(exec, sources_);
     }
     auto const store = [&](auto single) {
       for_each_item<per_thread>(
@@ -349,8 +295,6 @@ private:
   std::uint8_t* images_ = nullptr;
   image_source* sources_ = nullptr;  ///< [2] that the recordings read
   image_source* all_sources_ = nullptr;
-  image_source* no_sources_ = nullptr;
-  image_source* rest_sources_ = nullptr;  ///< the lower halves
   arena<space> memory_;
   arena<staging> host_memory_;
   stream_mark<Exec> features_there_;

@@ -143,15 +143,13 @@ public:
   /// Allocates memory and enqueues its initial values. @param keypoints per image
   device_searches(Exec const& exec, Rig const& rig, settings const& s, int keypoints)
       : settings_(s), rig_(rig), keypoints_(keypoints), local_(keypoints, searched) {
-    int const numbers = 2 * keypoints;
     memory_ = arena<space>([&](carver& c) {
-      carve(c, observations_, numbers, 1);
+      carve(c, observations_, 2 * keypoints, 1);
       c.place(1, inputs_, optimized_);
     });
     host_memory_ = arena<staging>([&](carver& c) {
       c.place(1, staged_, staged_optimized_, in_view_);
       c.place(2, found_);
-      c.place(numbers, kept_);
     });
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
     local_.reserve(exec, s.local_points);
@@ -188,7 +186,7 @@ public:
     up.flush(exec);
   }
 
-  // ---- stages, enqueued after upload(); queue_pose() also after a search from the same pose
+  // ---- stages, enqueued after upload()
 
   void queue_last_frame(Exec const& exec, context const& c, last_frame_request const& r,
                         device_frame const& last) {
@@ -279,11 +277,6 @@ public:
     down.add(exec, holder, frame.holder, frame.numbers());
     down.flush(exec);
   }
-  /// The same for an optimisation that was started ahead: the frame's own array stays as it is.
-  void download_pose_ahead(Exec const& exec, frame_view const& frame) {
-    download_pose(exec, kept_, frame);
-  }
-  int const* kept() const { return kept_; }
   int matches() const { return found_[0]; }
   pose_result optimized() const { return {*staged_optimized_, found_[1]}; }
   points_in_view in_view() const {
@@ -328,7 +321,6 @@ private:
   call_inputs* staged_ = nullptr;
   pose* staged_optimized_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
-  int* kept_ = nullptr;   ///< holders after an optimisation that was started ahead
   int* in_view_ = nullptr;
   arena<space> memory_;
   arena<staging> host_memory_;

@@ -20,8 +20,7 @@ namespace orbslam3 {
 /// enqueued, which is between a call that waits and the next send(). One thread at a time, except
 /// for what says otherwise. All throw ft::error (bad_argument, cuda_error).
 ///
-/// The calls about words and solve_pnp() depend on no frame here. bytes() and times() do not count
-/// them.
+/// The calls about words and solve_pnp() depend on no frame here. bytes() does not count them.
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -99,8 +98,8 @@ public:
   /// -1, unless the request is refused.
   virtual inertial_result optimize_inertial_pose(inertial_request const& request) = 0;
 
-  /// Reads a vocabulary, as read_vocabulary() of vocabulary_file.hpp. For set-up: allocates.
-  /// @param expected as require_same() of vocabulary_file.hpp; nullptr: anything
+  /// Reads a vocabulary, as ft::read_vocabulary(). For set-up: allocates.
+  /// @param expected as require_same() of vocabulary_facts.hpp; nullptr: anything
   virtual void load_vocabulary(std::string const& path, vocabulary_facts const* expected) = 0;
   virtual bool has_vocabulary() const = 0;
   /// Words of a frame's descriptors and the groups of its keypoints; without a vocabulary none.
@@ -118,10 +117,6 @@ public:
 
   virtual traffic bytes() const = 0;
   virtual void reset_bytes() = 0;
-  /// From now on device times are measured. Once, before other calls.
-  virtual void measure() = 0;
-  /// Times of the last call that waited.
-  virtual device_times times() const = 0;
 };
 
 }  // namespace orbslam3

@@ -6,14 +6,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <memory>
 #include <string>
 #include <type_traits>
-#include <utility>
 
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
 #include "ft/containers/vocabulary.hpp"
+#include "ft/containers/vocabulary_text.hpp"
 #include "ft/containers/words.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -26,8 +25,7 @@
 #include "ft/types/poses.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/plain_types.hpp"
-#include "integration/orbslam3/rigs.hpp"
-#include "integration/orbslam3/vocabulary_file.hpp"
+#include "integration/orbslam3/vocabulary_facts.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -79,7 +77,7 @@ public:
     }
     counts_[0] = rows.count;
     int const n = rows.count;
-    auto const times = this->call(
+    this->call(
         [&](auto& up) {
           up.add(exec(), array_of<field::orb>(in_), staged_orb_, n);
           up.add(exec(), in_.count, counts_, 1);
@@ -90,7 +88,7 @@ public:
           transform_to_words(exec(), vocabulary_.view(), in, params_, out_, work_);
         },
         [&](auto& down) { fetch(down, n); });
-    return {counts_[1], word_, value_, counts_[2], node_, start_, keypoint_, times};
+    return {counts_[1], word_, value_, counts_[2], node_, start_, keypoint_};
   }
 
 private:
@@ -164,20 +162,20 @@ public:
     params.orientation_check = r.orientation_check;
     word_matches_view out = matches_;
     out.capacity = n;
-    auto const times = this->call(
-        [&](auto& up) { send(up); },
-        [&] {
-          words_search search;
-          search.keyframes = view_of(keyframe, nullptr);
-          search.holder = holder_;
-          search.frames = view_of(frame, frame.staged.first_right < 0 ? nullptr : first_right_);
-          search_by_words(exec(), search, params, out, work_);
-        },
-        [&](auto& down) {
-          down.add(exec(), staged_count_, out.count, 1);
-          down.add(exec(), staged_match_, out.match, n);
-        });
-    return {*staged_count_, staged_match_, times};
+    this->call([&](auto& up) { send(up); },
+               [&] {
+                 words_search search;
+                 search.keyframes = view_of(keyframe, nullptr);
+                 search.holder = holder_;
+                 search.frames =
+                     view_of(frame, frame.staged.first_right < 0 ? nullptr : first_right_);
+                 search_by_words(exec(), search, params, out, work_);
+               },
+               [&](auto& down) {
+                 down.add(exec(), staged_count_, out.count, 1);
+                 down.add(exec(), staged_match_, out.match, n);
+               });
+    return {*staged_count_, staged_match_};
   }
 
 private:
@@ -268,28 +266,23 @@ public:
   pnp_found solve(pnp_progress& progress) {
     detail::require_range("correspondences of a pose", staged_.count, 0, staged_.capacity);
     detail::require_range("iterations of a pose", progress.done, 0, 1 << 30);
-    if (staged_.count == 0) { return {false, true, {}, 0, nullptr, {}}; }
-    auto const times = this->call(
-        [&](auto& up) { send(up, progress); },
-        [&] {
-          pnp_rays(exec(), camera_, problem_);
-          continue_pnp(exec(), camera_, problem_, params_, result_, work_);
-        },
-        [&](auto& down) {
-          down.add(exec(), answer_, result_.result, 1);
-          down.add(exec(), state_, work_.state, 1);
-          down.add(exec(), inlier_, reinterpret_cast<std::uint32_t const*>(result_.inlier),
-                   (staged_.count + 3) / 4);
-        });
+    if (staged_.count == 0) { return {false, true, {}, 0, nullptr}; }
+    this->call([&](auto& up) { send(up, progress); },
+               [&] {
+                 pnp_rays(exec(), camera_, problem_);
+                 continue_pnp(exec(), camera_, problem_, params_, result_, work_);
+               },
+               [&](auto& down) {
+                 down.add(exec(), answer_, result_.result, 1);
+                 down.add(exec(), state_, work_.state, 1);
+                 down.add(exec(), inlier_, reinterpret_cast<std::uint32_t const*>(result_.inlier),
+                          (staged_.count + 3) / 4);
+               });
     progress.done = state_->done;
     progress.kept_inliers = state_->kept_inliers;
     progress.kept = state_->kept;
-    return {has_pose(answer_->status),
-            no_more(answer_->status),
-            answer_->T_cw,
-            answer_->inliers,
-            reinterpret_cast<unsigned char const*>(inlier_),
-            times};
+    return {has_pose(answer_->status), no_more(answer_->status), answer_->T_cw, answer_->inliers,
+            reinterpret_cast<unsigned char const*>(inlier_)};
   }
 
 private:
@@ -320,48 +313,6 @@ private:
   int* count_ = nullptr;
   pnp_result* answer_ = nullptr;
   std::uint32_t* inlier_ = nullptr;
-};
-
-/// Base of a tracker on an executor.
-template <typename Exec, typename Rig>
-class word_calls : public executor_calls<Exec> {
-public:
-  explicit word_calls(Exec exec) : executor_calls<Exec>(std::move(exec)) {}
-
-  void load_vocabulary(std::string const& path, vocabulary_facts const* expected) override {
-    bags_->load(path, expected);
-  }
-  bool has_vocabulary() const override { return bags_->loaded(); }
-  word_lists transform_words(descriptor_rows const& rows) override {
-    return bags_->transform(rows);
-  }
-  word_arrays& words_of(word_side side) override { return search_->arrays(side); }
-  word_matches search_by_words(word_search_request const& request) override {
-    return search_->search(request);
-  }
-  pnp_arrays& correspondences() override { return pnp_->arrays(); }
-  pnp_found solve_pnp(pnp_progress& progress) override { return pnp_->solve(progress); }
-
-protected:
-  /// Allocates all memory, waits; called by the constructor. @param keypoints per image
-  void make_words(Exec const& exec, settings const& s, int keypoints) {
-    int const all = this->cameras() * keypoints;
-    bags_ = std::make_unique<device_bags<Exec>>(exec, all, s.levels_up);
-    search_ = std::make_unique<device_word_search<Exec>>(exec, all);
-    pnp_ = std::make_unique<pnp_solver>(exec, detail::left_camera(rig_of<Rig>(s)), keypoints);
-  }
-  void measure_words() {
-    bags_->measure();
-    search_->measure();
-    pnp_->measure();
-  }
-
-private:
-  using pnp_solver = device_pnp<Exec, left_camera_of<Rig>>;
-
-  std::unique_ptr<device_bags<Exec>> bags_;
-  std::unique_ptr<device_word_search<Exec>> search_;
-  std::unique_ptr<pnp_solver> pnp_;
 };
 
 }  // namespace FT_ABI

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file How calls on an executor move words, are recorded, wait, and are timed and counted.
+/// @file How calls on an executor move words, are recorded, wait, and are counted.
 #pragma once
 
 #include <cstddef>
@@ -15,7 +15,6 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
-#include "ft/core/stage_clock.hpp"
 #include "ft/types/tracking.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/plain_types.hpp"
@@ -161,20 +160,6 @@ private:
 };
 #endif
 
-// The marks of a call, after the first one.
-inline constexpr char const* transferred = "transfer";
-inline constexpr char const* computed = "kernel";
-
-/// What the marks of a call say, after the executor's wait(); zeros of a clock that is not enabled.
-template <typename Exec>
-device_times times_of(stage_clock<Exec> const& clock) {
-  device_times t;
-  for (stage_time const& s : clock.times()) {
-    (std::strcmp(s.name, transferred) == 0 ? t.transfer : t.kernel) += s.us;
-  }
-  return t;
-}
-
 /// The parameters of a call's launches, apart from data in memory.
 struct call_key {
   int call = 0;
@@ -222,9 +207,6 @@ private:
 /// tracking has started for the next call goes on.
 template <typename Exec>
 class own_calls {
-public:
-  void measure() { clock_.enable(); }
-
 protected:
   explicit own_calls(Exec const& beside) : stream_(beside) {}
 
@@ -240,24 +222,18 @@ protected:
   }
   /// A call that waits. @param send,fetch void(word_mover&): what is moved before and after
   template <typename Send, typename Compute, typename Fetch>
-  device_times call(Send const& send, Compute const& compute, Fetch const& fetch) {
+  void call(Send const& send, Compute const& compute, Fetch const& fetch) {
     word_mover<Exec> words;
-    clock_.begin(exec());
     send(words);
     words.flush(exec());
-    clock_.mark(exec(), transferred);
     compute();
-    clock_.mark(exec(), computed);
     fetch(words);
     words.flush(exec());
-    clock_.mark(exec(), transferred);
     exec().wait();
-    return times_of(clock_);
   }
 
 private:
   own_stream<Exec> stream_;
-  stage_clock<Exec> clock_;
   arena<Exec::space> memory_;
   arena<staging_space<Exec>> host_memory_;
 };
@@ -273,23 +249,15 @@ public:
   }
   traffic bytes() const override { return bytes_; }
   void reset_bytes() override { bytes_ = {}; }
-  device_times times() const override { return times_; }
 
 protected:
-  /// Marks the start of a call, before its first launch.
-  void start() {
-    settle();
-    if (!started_) { clock_.begin(exec_); }
-    started_ = true;
-  }
   /// Uploads the collected data. @param staged bytes that the call's own first launch transfers
   void begin(std::size_t staged = 0) {
-    start();
+    settle();
     up_.flush(exec_);
     std::size_t const bytes = up_.take_bytes() + staged;
     bytes_.uploads += static_cast<int>(bytes > 0);
     bytes_.frame += bytes;
-    if (staged == 0) { clock_.mark(exec_, transferred); }
   }
   void count_download(std::size_t bytes) {
     ++bytes_.downloads;
@@ -298,25 +266,19 @@ protected:
   /// @param bytes that are being downloaded
   void finish(std::size_t bytes) {
     count_download(bytes);
-    clock_.mark(exec_, transferred);
     wait();
-    times_ = times_of(clock_);
   }
   void wait() {
     exec_.wait();
     change_queued_ = false;
-    started_ = false;
     in_flight_ = false;
   }
 
   Exec exec_;
   word_mover<Exec> up_;
-  stage_clock<Exec> clock_;
   traffic bytes_;
-  device_times times_;
   bool in_flight_ = false;  ///< the last call left work that it did not wait for
   bool change_queued_ = false;
-  bool started_ = false;
 };
 
 }  // namespace FT_ABI

@@ -6,8 +6,8 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <memory>
+#include <string>
 #include <utility>
 
 #include "ft/core/cuda_handles.hpp"
@@ -22,31 +22,25 @@
 #include "integration/orbslam3/device_words.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
-#include "integration/orbslam3/pose_ahead.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
 namespace ft {
 namespace orbslam3 {
 inline namespace FT_ABI {
 
-/// Calls of every frame are recorded the first time and then replayed, one graph launch each; with
-/// measure() they are enqueued launch by launch.
+/// Calls of every frame are recorded the first time and then replayed, one graph launch each.
 /// @tparam Rig rectified_rig: one pinhole camera, or a rectified pair; fisheye_rig: kannala_brandt
 template <typename Exec, typename Rig>
-class executor_tracker : public word_calls<Exec, Rig> {
+class executor_tracker : public executor_calls<Exec> {
   static constexpr int searched = searched_cameras<Rig>;
   using calls = executor_calls<Exec>;
   using calls::begin;
   using calls::bytes_;
   using calls::change_queued_;
-  using calls::clock_;
   using calls::count_download;
   using calls::exec_;
   using calls::finish;
   using calls::in_flight_;
-  using calls::start;
-  using calls::started_;
-  using calls::times_;
   using calls::up_;
   using calls::wait;
 
@@ -55,15 +49,17 @@ public:
 
   /// Allocates all memory, waits. @throws bad_argument naming the setting
   executor_tracker(Exec exec, settings const& s)
-      : word_calls<Exec, Rig>(std::move(exec)),
+      : calls(std::move(exec)),
         settings_(checked<Rig>(s)),
         helpers_(helper_threads::chosen(s.helpers)),
         extraction_(exec_, rig_of<Rig>(s), s, helpers_),
         frames_(exec_, s, extraction_.capacity()),
         searches_(exec_, rig_of<Rig>(s), s, extraction_.capacity()),
-        inertial_(exec_, rig_of<Rig>(s), s, extraction_.capacity()) {
+        inertial_(exec_, rig_of<Rig>(s), s, extraction_.capacity()),
+        bags_(exec_, cameras() * capacity(), s.levels_up),
+        word_search_(exec_, cameras() * capacity()),
+        pnp_(exec_, detail::left_camera(rig_of<Rig>(s)), capacity()) {
     map_.reserve(exec_, s.map_points);
-    this->make_words(exec_, s, capacity());
     exec_.wait();
     extraction_.record(exec_, frames_);
   }
@@ -81,15 +77,8 @@ public:
   frame_arrays const& frame(int buffer) override { return frames_.arrays(buffer); }
 
   void extract(extraction_request const& request) override {
-    drop_pose(true);
     settle();
-    times_ = {};
-    if (clock_.enabled()) {
-      extraction_.extract_measured(exec_, frames_, request, clock_);
-      clock_.mark(exec_, transferred);
-    } else {
-      extraction_.extract(exec_, frames_, request);
-    }
+    extraction_.extract(exec_, frames_, request);
     in_flight_ = true;
     stereo_of_ = extraction_.pair() ? request.buffer : -1;
     bytes_.images += extraction_.images_bytes();
@@ -98,13 +87,8 @@ public:
   }
 
   void wait_for_features() override {
-    if (clock_.enabled()) {
-      wait();
-      times_ = times_of(clock_);
-    } else {
-      extraction_.wait_for_features();
-      in_flight_ = extraction_.pair();
-    }
+    extraction_.wait_for_features();
+    in_flight_ = extraction_.pair();
   }
 
   void build_pyramids(gray_view const& left, gray_view const& right) override {
@@ -119,13 +103,11 @@ public:
     detail::require(settings_.images == 2, "stereo needs settings with two images");
     if (stereo_of_ == buffer) {  // enqueued by the extraction
       settle();
-      times_ = {};
       stereo_of_ = -1;
       return;
     }
     begin();
     extraction_.queue_stereo(exec_, frames_, buffer, false);
-    clock_.mark(exec_, computed);
     finish(extraction_.stereo_bytes());
   }
 
@@ -136,8 +118,6 @@ public:
 
   void send(int buffer, frame_part part) override {
     if (part == frame_part::keypoints && stereo_of_ == buffer) { stereo_of_ = -1; }
-    if (pose_ahead_.started() == buffer && part != frame_part::holder) { drop_pose(false); }
-    pose_ahead_.changed(buffer);
     frames_.send(exec_, up_, buffer, part);
   }
 
@@ -147,19 +127,14 @@ public:
   }
   void reserve_map(int slots) override {
     if (change_queued_) { wait(); }
-    settle();  // an optimisation that was started reads the map
+    settle();
     if (map_.reserve(exec_, slots)) { graphs_.clear(); }
   }
   void change_map(map_change const& change, std::uint32_t const* words) override {
     std::size_t const n = change.words();
     if (n == 0) { return; }
-    int const ahead = pose_ahead_.started();
-    if (ahead >= 0 &&
-        pose_ahead_.moves_held(change, words, frames_.arrays(ahead).holder, frames_.numbers())) {
-      drop_pose(false);
-    }
     if (change_queued_) { wait(); }
-    start();
+    settle();
     map_.change(exec_, change, words);
     change_queued_ = true;
     bytes_.map += n * sizeof *words;
@@ -178,56 +153,47 @@ public:
   recorded_sight* recorded_sights(int count) override { return searches_.recorded_sights(count); }
 
   int search_last_frame(last_frame_request const& r) override {
-    drop_pose(true);
     searches_.set_last_frame(r);
     begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.current, r.image);
     auto const call = context_of(r.current);
-    replay(call_key::of(1, r.current, 0, r.image, r.window_radius,
-                        r.ignore_motion_direction ? 1.0f : 0.0f),
-           [&](Exec const& exec) {
-             searches_.upload(exec);
-             clock_.mark(exec, transferred);
-             searches_.queue_last_frame(exec, call, r, frames_[r.last]);
-             clock_.mark(exec, computed);
-             searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
-           });
-    clock_.mark(exec_, transferred);
-    start_pose(pose_ahead::after::last_frame, r.current, r.T_cw);
-    count_download(sizeof(int) + frames_.holder_bytes());
-    wait_for_matches();
+    graphs_.replay(exec_,
+                   call_key::of(1, r.current, 0, r.image, r.window_radius,
+                                r.ignore_motion_direction ? 1.0f : 0.0f),
+                   [&](Exec const& exec) {
+                     searches_.upload(exec);
+                     searches_.queue_last_frame(exec, call, r, frames_[r.last]);
+                     searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
+                   });
+    finish(sizeof(int) + frames_.holder_bytes());
     return searches_.matches();
   }
 
   points_in_view search_local_map(local_map_request const& r) override {
-    drop_pose(true);
     searches_.set_local_map(exec_, up_, r);
-    times_ = {};
     begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.buffer, r.image);
     auto const call = context_of(r.buffer);
     auto const lists = [&](Exec const& exec) {
       searches_.upload(exec);
-      clock_.mark(exec, transferred);
       searches_.queue_local_lists(exec, call, r);
     };
     auto const choice = [&](Exec const& exec) {
       searches_.queue_local_choice(exec, call, r);
-      clock_.mark(exec, computed);
       searches_.download_matches(exec, frames_.arrays(r.buffer).holder, call.frame);
     };
     if (r.recorded == 0) {
       int const size = searches_.local().size_of(r.points);
-      replay(call_key::of(2, r.buffer, size, r.image, r.radius_factor, r.max_distance), lists);
+      graphs_.replay(
+          exec_, call_key::of(2, r.buffer, size, r.image, r.radius_factor, r.max_distance), lists);
       sights_there_.set(exec_);
-      replay(call_key::of(3, r.buffer, size, r.image, r.radius_factor, r.max_distance), choice);
+      graphs_.replay(
+          exec_, call_key::of(3, r.buffer, size, r.image, r.radius_factor, r.max_distance), choice);
     } else {
       lists(exec_);
       sights_there_.set(exec_);
       choice(exec_);
     }
-    clock_.mark(exec_, transferred);
-    start_pose(pose_ahead::after::local_map, r.buffer, r.T_cw);
     sights_there_.wait();
     points_in_view const found = searches_.in_view();
     count_download(sizeof(int) + frames_.holder_bytes() +
@@ -237,21 +203,17 @@ public:
     return found;
   }
   int local_matches() override {
-    wait_for_matches();
+    wait();
     return searches_.matches();
   }
 
   pose_result optimize_pose(int buffer, pose const& T_cw) override {
-    if (pose_ahead_.take(buffer, T_cw)) { return take_pose(buffer); }
-    drop_pose(false);
     searches_.set_pose(T_cw);
     begin(searches_.input_bytes);
     auto const call = context_of(buffer);
-    replay(call_key::of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
+    graphs_.replay(exec_, call_key::of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
       searches_.upload(exec);
-      clock_.mark(exec, transferred);
       searches_.queue_pose(exec, call);
-      clock_.mark(exec, computed);
       searches_.download_pose(exec, frames_.arrays(buffer).holder, call.frame);
     });
     finish(sizeof(pose) + sizeof(int) + frames_.holder_bytes());
@@ -259,15 +221,12 @@ public:
   }
 
   int search_keyframe(keyframe_search_request const& r) override {
-    drop_pose(true);
     searches_.set_pose(r.T_cw);
     begin(searches_.input_bytes);
     frames_.make_grid(exec_, r.frame, r.image);
     auto const call = context_of(r.frame);
     searches_.upload(exec_);
-    clock_.mark(exec_, transferred);
     searches_.queue_keyframe(exec_, call, r, frames_[r.keyframe]);
-    clock_.mark(exec_, computed);
     searches_.download_matches(exec_, frames_.arrays(r.frame).holder, call.frame);
     finish(sizeof(int) + frames_.holder_bytes());
     return searches_.matches();
@@ -275,78 +234,35 @@ public:
 
   float* point_distances() override { return inertial_.distances(); }
   inertial_result optimize_inertial_pose(inertial_request const& r) override {
-    drop_pose(true);
     int const mount = inertial_.set(r);
     begin(inertial_.input_bytes());
     auto const call = context_of(r.buffer);
-    replay(call_key::of(6, r.buffer, mount, {}, 0, 0), [&](Exec const& exec) {
+    graphs_.replay(exec_, call_key::of(5, r.buffer, mount, {}, 0, 0), [&](Exec const& exec) {
       inertial_.upload(exec);
-      clock_.mark(exec, transferred);
       inertial_.queue(exec, {call.frame, call.map, call.geometry});
-      clock_.mark(exec, computed);
       inertial_.download(exec, frames_.arrays(r.buffer).holder, call.frame);
     });
     finish(inertial_.output_bytes + frames_.holder_bytes());
     return inertial_.result();
   }
 
-  void measure() override {
-    clock_.enable();
-    this->measure_words();
+  void load_vocabulary(std::string const& path, vocabulary_facts const* expected) override {
+    bags_.load(path, expected);
   }
+  bool has_vocabulary() const override { return bags_.loaded(); }
+  word_lists transform_words(descriptor_rows const& rows) override { return bags_.transform(rows); }
+  word_arrays& words_of(word_side side) override { return word_search_.arrays(side); }
+  word_matches search_by_words(word_search_request const& request) override {
+    return word_search_.search(request);
+  }
+  pnp_arrays& correspondences() override { return pnp_.arrays(); }
+  pnp_found solve_pnp(pnp_progress& progress) override { return pnp_.solve(progress); }
 
 private:
   using context = typename device_searches<Exec, Rig>::context;
 
   context context_of(int buffer) const {
     return {frames_.view(buffer), map_.view(), extraction_.geometry()};
-  }
-  template <typename Queue>
-  void replay(call_key const& key, Queue const& queue) {
-    clock_.enabled() ? queue(exec_) : graphs_.replay(exec_, key, queue);
-  }
-
-  /// Marks the end of a search, and starts the pose optimisation that probably follows it. Not
-  /// while times are measured, so that each call has its own.
-  void start_pose(pose_ahead::after search, int buffer, pose const& T_cw) {
-    matches_there_.set(exec_);
-    if (!settings_.poses_ahead || clock_.enabled()) { return; }
-    if (!pose_ahead_.expect(search, buffer, T_cw)) { return; }
-    auto const call = context_of(buffer);
-    replay(call_key::of(5, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
-      searches_.queue_pose(exec, call);
-      searches_.download_pose_ahead(exec, call.frame);
-    });
-  }
-  /// Waits for a search; an optimisation behind it may still be in flight.
-  void wait_for_matches() {
-    if (pose_ahead_.started() < 0) {
-      wait();
-    } else {
-      matches_there_.wait();
-      change_queued_ = false;
-      started_ = false;
-      in_flight_ = true;
-    }
-    times_ = times_of(clock_);
-  }
-  /// The result of the optimisation that was started.
-  pose_result take_pose(int buffer) {
-    wait();
-    count_download(sizeof(pose) + sizeof(int) + frames_.holder_bytes());
-    std::memcpy(frames_.arrays(buffer).holder, searches_.kept(), frames_.holder_bytes());
-    return searches_.optimized();
-  }
-  /// Does without the optimisation that was started. It has changed the frame's holders, which are
-  /// therefore sent again. @param unwanted tracking has gone on, so it will not be asked for
-  void drop_pose(bool unwanted) {
-    int const buffer = pose_ahead_.started();
-    if (unwanted) {
-      pose_ahead_.give_up();
-    } else {
-      pose_ahead_.forget();
-    }
-    if (buffer >= 0) { frames_.send(exec_, up_, buffer, frame_part::holder); }
   }
   thread_device<Exec> device_;
   settings settings_;
@@ -356,10 +272,11 @@ private:
   device_map<Exec> map_;
   device_searches<Exec, Rig> searches_;
   device_inertial<Exec, Rig> inertial_;
+  device_bags<Exec> bags_;
+  device_word_search<Exec> word_search_;
+  device_pnp<Exec, left_camera_of<Rig>> pnp_;
   call_graphs<Exec> graphs_;
   stream_mark<Exec> sights_there_;
-  stream_mark<Exec> matches_there_;
-  pose_ahead pose_ahead_;
   int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
 

@@ -140,14 +140,14 @@ public:
   /// Frame::UndistortKeyPoints: mvKeysUn. extract() has computed the positions.
   /// @throws bad_argument unless can_undistort()
   void undistort(frame_type& frame) {
-    stage_timer timer(sums(stage::undistort), *device_);
+    stage_timer const timer(sums(stage::undistort));
     detail::require(can_undistort(frame), "the frame's keypoints are not undistorted here");
     frames_.fill_undistorted(frame);
   }
   /// Frame::AssignFeaturesToGrid: mGrid, and mGridRight for two cameras. For frames from extract()
   /// and from the CPU. Runs on the host, see cell_lists.
   void assign_to_grid(frame_type& frame) {
-    stage_timer timer(sums(stage::grid), *device_);
+    stage_timer const timer(sums(stage::grid));
     bounds const image = frames_.bounds_of(frame);
     cells_.fill(image, frames_.keys(frame, 0), frame.mGrid);
     if (frames_.two_cameras()) { cells_.fill(image, frames_.keys(frame, 1), frame.mGridRight); }
@@ -158,10 +158,10 @@ public:
   /// Frame::ComputeStereoMatches: mvuRight and mvDepth of a frame that extract() has filled.
   /// @throws bad_argument for another frame
   void compute_stereo_matches(frame_type& frame) {
-    stage_timer timer(sums(stage::stereo), *device_);
+    stage_timer const timer(sums(stage::stereo));
     int const b = frames_.extracted(frame);
     if (!frames_.has_stereo(b)) {
-      timer.on_device([&] { device_->match_stereo(b); });
+      device_->match_stereo(b);
       frames_.set_stereo(b);
     }
     frames_.fill_stereo(b, frame);
@@ -172,14 +172,12 @@ public:
   template <typename Image>
   void compute_stereo_matches(frame_type& frame, std::vector<Image> const& left,
                               std::vector<Image> const& right) {
-    stage_timer timer(sums(stage::stereo), *device_);
+    stage_timer const timer(sums(stage::stereo));
     detail::require(!left.empty() && !right.empty(), "the pyramids are empty");
     gray_view const images[2] = {view_of(left.front()), view_of(right.front())};
     int const b = frames_.load(frame, frame.mvKeys, true, -1);
-    timer.on_device([&] {
-      device_->build_pyramids(images[0], images[1]);
-      device_->match_stereo(b);
-    });
+    device_->build_pyramids(images[0], images[1]);
+    device_->match_stereo(b);
     frames_.set_stereo(b);
     frames_.fill_stereo(b, frame);
   }
@@ -187,11 +185,11 @@ public:
   /// Frame::ComputeStereoFishEyeMatches: partners, depths and points. For frames from extract() and
   /// from the CPU.
   void compute_stereo_fisheye_matches(frame_type& frame) {
-    stage_timer timer(sums(stage::stereo), *device_);
+    stage_timer const timer(sums(stage::stereo));
     int b = frames_.find(frame);
     if (b < 0) { b = frames_.load(frame, frame.mvKeys, true, -1); }
     if (!frames_.has_stereo(b)) {
-      timer.on_device([&] { device_->match_stereo(b); });
+      device_->match_stereo(b);
       frames_.set_stereo(b);
     }
     frames_.fill_fisheye_stereo(b, frame);
@@ -199,12 +197,10 @@ public:
 
 protected:
   feature_stages(std::unique_ptr<device_tracker> device, settings const& s, options const& o)
-      : device_(std::move(device)), settings_(s), options_(o) {
-    if (o.statistics) { device_->measure(); }
-  }
+      : device_(std::move(device)), settings_(s), options_(o) {}
   ~feature_stages() = default;
 
-  stage_statistics* sums(stage s) {
+  call_times* sums(stage s) {
     return options_.statistics ? &statistics_[static_cast<std::size_t>(s)] : nullptr;
   }
 
@@ -230,12 +226,12 @@ private:
             static_cast<int>(static_cast<std::size_t>(image.step))};
   }
   void extract_images(gray_view const& left, gray_view const& right, frame_type& frame) {
-    stage_timer timer(sums(stage::extract), *device_);
+    stage_timer const timer(sums(stage::extract));
     extraction_request const request =
         frames_.begin_extraction(frame, left, right, uses(stage::undistort));
-    timer.on_device([&] { device_->extract(request); });
+    device_->extract(request);
     frames_.prepare(frame);
-    timer.on_device([&] { device_->wait_for_features(); });
+    device_->wait_for_features();
     frames_.took(request.buffer, frame);
   }
 

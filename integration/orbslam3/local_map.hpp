@@ -13,7 +13,6 @@
 #include <vector>
 
 #include "integration/orbslam3/device_tracker.hpp"
-#include "integration/orbslam3/drawn_points.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 
@@ -64,10 +63,10 @@ class local_map {
 public:
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
-  using projections = std::decay_t<decltype(std::declval<frame_type&>().mmProjectPoints)>;
 
-  local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s)
-      : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks), drawn_(s.map_points) {}
+  /// @param draws whether mmProjectPoints are filled
+  local_map(device_tracker& device, map_mirror<map_point>& mirror, settings const& s, bool draws)
+      : device_(&device), mirror_(&mirror), quirks_(s.reference_quirks), drawn_(draws ? 1 : 0) {}
 
   /// Fills the request of a search for `points`, and their slots on the device.
   /// @return number of points that are tested
@@ -108,13 +107,12 @@ public:
   /// Writes the tracked values of the points in view, and their counters.
   void write_sights(frame_type& frame, std::vector<map_point*> const& points,
                     points_in_view const& seen) {
-    constexpr int drawn = 1;  // the longest part is started first
     int const parts = (seen.count + sights_at_a_time - 1) / sights_at_a_time;
-    device_->helpers().share(drawn + parts, [&](int i) {
-      if (i < drawn) {
+    device_->helpers().share(drawn_ + parts, [&](int i) {
+      if (i < drawn_) {  // the longest part is started first
         draw(frame, seen);
       } else {
-        int const first = (i - drawn) * sights_at_a_time;
+        int const first = (i - drawn_) * sights_at_a_time;
         write_sights(points, seen, first, std::min(first + sights_at_a_time, seen.count));
       }
     });
@@ -219,16 +217,20 @@ private:
                      p.mnTrackScaleLevelR}});
     }
   }
+  /// Of equal numbers the last one counts, as in the original. In order, nodes are put at the end.
   void draw(frame_type& frame, points_in_view const& seen) {
-    using place = typename drawn_points<projections>::place;
-    drawn_.begin();
+    in_order_.clear();
     for (int k = 0; k < seen.count; ++k) {
-      visibility const& left = seen.by[0][k];
-      if (left.level < 0) { continue; }
-      int const slot = likely_[index(seen.index[k])];
-      drawn_.put(slot, mirror_->id(slot), place(left.x, left.y));
+      if (seen.by[0][k].level < 0) { continue; }
+      in_order_.emplace_back(mirror_->id(likely_[index(seen.index[k])]), k);
     }
-    drawn_.move_to(frame.mmProjectPoints);
+    std::sort(in_order_.begin(), in_order_.end());
+    auto& drawn = frame.mmProjectPoints;
+    using place = typename std::decay_t<decltype(drawn)>::mapped_type;
+    for (auto const& [id, k] : in_order_) {
+      visibility const& left = seen.by[0][k];
+      drawn.insert_or_assign(drawn.end(), id, place(left.x, left.y));
+    }
   }
   static void prefetch_soon(std::vector<map_point*> const& points, int i) {
     auto const soon = static_cast<std::size_t>(i) + 8;
@@ -249,11 +251,13 @@ private:
   device_tracker* device_;
   map_mirror<map_point>* mirror_;
   bool quirks_;
+  int drawn_;  ///< parts of the work that fill mmProjectPoints: 1 or 0
   int* slots_ = nullptr;
   std::vector<int> likely_;  ///< slots of the last local map; most are at the same place again
   std::vector<recorded_sight> recorded_;
   std::vector<part> parts_;
-  drawn_points<projections> drawn_;
+  std::vector<std::pair<std::size_t, int>>
+      in_order_;  ///< number of a point in view, its place there
 };
 
 }  // namespace orbslam3

@@ -19,16 +19,11 @@
 #include "ft/core/error.hpp"
 #include "integration/orbslam3/change_queue.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/point_fields.hpp"
 
 namespace ft {
 namespace orbslam3 {
-
-/// How changes of map points are found.
-enum class change_detection {
-  compare,  ///< every point of a call is read and compared with the values sent
-  hooks,    ///< only points pushed into the change_queue are read
-};
 
 /// Reads map points through their own locked functions. With hooks, a thread of the mirror does so
 /// while tracking does other work, also for points that tracking has not met yet; it makes room for

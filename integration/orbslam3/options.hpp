@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Choice of the stages that the shim runs, made in code and changed by the environment, and
-/// times per stage, as the paper reports them: kernels, transfers, the host's wrapping, total.
+/// the times of their calls.
 #pragma once
 
 #include <algorithm>
@@ -14,11 +14,15 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
-#include "integration/orbslam3/map_mirror.hpp"
 
 namespace ft {
 namespace orbslam3 {
+
+/// How changes of map points are found.
+enum class change_detection {
+  compare,  ///< every point of a call is read and compared with the values sent
+  hooks,    ///< only points pushed into the change_queue are read
+};
 
 enum class stage {
   extract,
@@ -79,6 +83,8 @@ struct options {
   change_detection detection = change_detection::compare;
   bool statistics = false;
   bool verify = false;  ///< for the call sites: run both and compare, see verify.hpp
+  /// Whether the search of a local map fills Frame::mmProjectPoints, which only a viewer draws.
+  bool fills_projected_points = true;
   std::array<stage_mode, stage_count> modes{};  ///< by stage; all on the device
   /// File of the vocabulary for `transform`, which front_end loads: DBoW2's text, or ft's binary
   /// form. Empty: ORB-SLAM3's own code transforms.
@@ -126,7 +132,8 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
 
 /// `o` with the changes of the environment: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of
 /// stages, the first of which replaces what `o` leaves to the CPU; FT_ORBSLAM3_STATISTICS and
-/// FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_COMPARE=1 finds changes of map points by comparing;
+/// FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_PROJECTED_POINTS=0 leaves mmProjectPoints empty;
+/// FT_ORBSLAM3_COMPARE=1 finds changes of map points by comparing;
 /// FT_ORBSLAM3_VOCABULARY is the vocabulary's path.
 /// @throws bad_argument as set_modes()
 inline options from_environment(options o = {}) {
@@ -144,6 +151,7 @@ inline options from_environment(options o = {}) {
   set_modes(o, text("FT_ORBSLAM3_BYPASS"), stage_mode::bypass);
   flag("FT_ORBSLAM3_STATISTICS", o.statistics);
   flag("FT_ORBSLAM3_VERIFY", o.verify);
+  flag("FT_ORBSLAM3_PROJECTED_POINTS", o.fills_projected_points);
   bool compare = false;
   flag("FT_ORBSLAM3_COMPARE", compare);
   if (compare) { o.detection = change_detection::compare; }
@@ -152,11 +160,14 @@ inline options from_environment(options o = {}) {
   return o;
 }
 
-/// Times of the last 65,536 calls, and the longest of all, microseconds.
+/// Times of a stage's last 65,536 calls, and the longest of all, microseconds: of the host, from
+/// the call to its return.
 class call_times {
 public:
+  long calls() const { return calls_; }
   double longest() const { return longest_; }
   void add(double time) {
+    ++calls_;
     longest_ = std::max(longest_, time);
     if (all_.size() < most) {
       all_.push_back(time);
@@ -178,32 +189,20 @@ private:
   static constexpr std::size_t most = std::size_t{1} << 16;
   std::vector<double> all_;
   std::size_t next_ = 0;
+  long calls_ = 0;
   double longest_ = 0;
 };
 
-/// Of all calls of one stage, percentiles of the last ones, microseconds.
-struct stage_statistics {
-  long calls = 0;
-  double kernel = 0;
-  double transfer = 0;
-  double wrap = 0;   ///< host time outside of the device's calls
-  double total = 0;  ///< host time from call to return
-  call_times totals;
-};
+using statistics = std::array<call_times, stage_count>;
 
-using statistics = std::array<stage_statistics, stage_count>;
-
-/// A line per stage that was called: percentiles and the maximum of the whole call, means of its
-/// parts.
+/// A line per stage that was called.
 inline std::ostream& print(std::ostream& out, statistics const& all) {
   for (int i = 0; i < stage_count; ++i) {
-    stage_statistics const& s = all[static_cast<std::size_t>(i)];
-    if (s.calls == 0) { continue; }
-    auto const n = static_cast<double>(s.calls);
-    out << name_of(static_cast<stage>(i)) << ": " << s.calls << " calls, p50 "
-        << s.totals.percentile(0.5) << " us, p99 " << s.totals.percentile(0.99) << ", maximum "
-        << s.totals.longest() << "; mean " << s.total / n << ": kernel " << s.kernel / n
-        << ", transfer " << s.transfer / n << ", wrap " << s.wrap / n << "\n";
+    call_times const& s = all[static_cast<std::size_t>(i)];
+    if (s.calls() == 0) { continue; }
+    out << name_of(static_cast<stage>(i)) << ": " << s.calls() << " calls, p50 "
+        << s.percentile(0.5) << " us, p99 " << s.percentile(0.99) << ", maximum " << s.longest()
+        << "\n";
   }
   return out;
 }
@@ -211,56 +210,20 @@ inline std::ostream& print(std::ostream& out, statistics const& all) {
 /// Times one call of a stage. Without statistics it reads no clock.
 class stage_timer {
 public:
-  stage_timer(stage_statistics* sums, device_tracker& device) : sums_(sums), device_(&device) {
-    if (sums_ != nullptr) { begin_ = clock::now(); }
+  explicit stage_timer(call_times* to) : to_(to) {
+    if (to_ != nullptr) { begin_ = clock::now(); }
   }
   stage_timer(stage_timer const&) = delete;
   stage_timer& operator=(stage_timer const&) = delete;
   ~stage_timer() {
-    if (sums_ == nullptr) { return; }
-    double const total = microseconds(begin_, clock::now());
-    ++sums_->calls;
-    sums_->total += total;
-    sums_->totals.add(total);
-    sums_->wrap += total - on_device_;
-  }
-
-  /// Runs a device call that waits.
-  template <typename Call>
-  auto on_device(Call const& call) {
-    struct span {
-      stage_timer* timer;
-      clock::time_point begin;
-      ~span() {
-        if (timer->sums_ != nullptr) { timer->add(begin, timer->device_->times()); }
-      }
-    };
-    span const around{this, sums_ != nullptr ? clock::now() : clock::time_point{}};
-    return call();
-  }
-  /// Runs a device call whose result has its times.
-  template <typename Call>
-  auto on_device_timed(Call const& call) {
-    auto const begin = sums_ != nullptr ? clock::now() : clock::time_point{};
-    auto const result = call();
-    if (sums_ != nullptr) { add(begin, result.times); }
-    return result;
+    if (to_ == nullptr) { return; }
+    to_->add(std::chrono::duration<double, std::micro>(clock::now() - begin_).count());
   }
 
 private:
   using clock = std::chrono::steady_clock;
-  static double microseconds(clock::time_point a, clock::time_point b) {
-    return std::chrono::duration<double, std::micro>(b - a).count();
-  }
-  void add(clock::time_point begin, device_times const& times) {
-    on_device_ += microseconds(begin, clock::now());
-    sums_->kernel += times.kernel;
-    sums_->transfer += times.transfer;
-  }
-  stage_statistics* sums_;
-  device_tracker* device_;
+  call_times* to_;
   clock::time_point begin_;
-  double on_device_ = 0;
 };
 
 }  // namespace orbslam3

@@ -57,8 +57,6 @@ struct settings : orb_params {
   /// an earlier frame.
   bool reference_quirks = true;
   bool orientation_check = true;  ///< of the searches from the last frame and a keyframe
-  /// Starts pose optimisation behind each search, before it is asked for (pose_ahead.hpp).
-  bool poses_ahead = true;
   /// Levels of the vocabulary above the deepest one at which keypoints are grouped, 0 to 10.
   int levels_up = 4;
 };
@@ -204,12 +202,6 @@ struct traffic {
   int downloads = 0;
 };
 
-/// Times of one call, microseconds.
-struct device_times {
-  double transfer = 0;
-  double kernel = 0;
-};
-
 /// Uploaded as it is.
 struct inertial_request {
   int buffer = 0;
@@ -263,7 +255,6 @@ struct pnp_found {
   pose T_cw = pose::identity();
   int inliers = 0;
   unsigned char const* inlier = nullptr;  ///< [count] 1 = inlier; until the next call
-  device_times times;
 };
 
 /// What tells one vocabulary from another: its header, and all its words. The inner nodes are left
@@ -295,7 +286,6 @@ struct word_lists {
   std::uint32_t const* node = nullptr;  ///< [groups] ascending
   int const* start = nullptr;           ///< [groups + 1] first of a group in `keypoint`
   int const* keypoint = nullptr;
-  device_times times;
 };
 
 /// The two sides of a search by words.
@@ -326,7 +316,6 @@ struct word_search_request {
 struct word_matches {
   int count = 0;               ///< keypoints of the frame that are matched
   int const* match = nullptr;  ///< [keypoints of the frame] the keyframe's holder, -1 = none
-  device_times times;
 };
 
 }  // namespace orbslam3

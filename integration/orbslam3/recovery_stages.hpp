@@ -15,8 +15,7 @@
 #include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
-#include "integration/orbslam3/options.hpp"
-#include "integration/orbslam3/vocabulary_file.hpp"
+#include "integration/orbslam3/vocabulary_facts.hpp"
 
 namespace ft {
 namespace orbslam3 {
@@ -157,12 +156,11 @@ bool can_transform(device_tracker const& device, Frame const& frame) {
 /// Fills mBowVec and mFeatVec.
 /// @throws bad_argument unless can_transform()
 template <typename Frame>
-void transform_frame(device_tracker& device, stage_timer& timer, Frame& frame) {
+void transform_frame(device_tracker& device, Frame& frame) {
   detail::require(device.has_vocabulary(), "there is no vocabulary");
   detail::require(can_transform(device, frame),
                   "the frame has no descriptors, or more than there is room for");
-  word_lists const lists = timer.on_device_timed(
-      [&] { return device.transform_words(word_detail::rows_of(frame.mDescriptors)); });
+  word_lists const lists = device.transform_words(word_detail::rows_of(frame.mDescriptors));
   word_detail::fill(lists, frame.mBowVec, frame.mFeatVec);
 }
 

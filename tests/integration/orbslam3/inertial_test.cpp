@@ -120,51 +120,6 @@ TEST_P(inertial_poses, follow_what_changes_between_calls) {
   EXPECT_TRUE(at.current.mvbOutlier[200]);
 }
 
-/// The search in the local map starts a pose without an IMU, which changes the matches on the
-/// device; an inertial one comes instead.
-TEST_P(inertial_poses, are_the_same_after_a_search_that_started_another_pose) {
-  random_problems const p(sensor::stereo);
-  for (bool const ahead : {true, false}) {
-    SCOPED_TRACE(ahead);
-    scene s(sensor::stereo, 3);
-    s.settings.most_keypoints = 2000;
-    s.settings.poses_ahead = ahead;
-    accelerator searching(make(s.settings), s.settings);
-    accelerator alone(make(s.settings), s.settings);
-    auto const local = s.local_map();
-    for (unsigned long round = 0; round < 3; ++round) {
-      inertial_moment at(p.setup, p.batch, 7);
-      auto const set = [&](stand_in::frame& f) {
-        f.mImuCalib = at.current.mImuCalib;
-        f.SetVelocity(at.last.GetVelocity());
-        f.mpPrevFrame = &at.last;
-        f.mpImuPreintegrated = &at.since_keyframe;
-        f.mpImuPreintegratedFrame = &at.since_last;
-        delete std::exchange(f.mpPrevFrame->mpcpi, constraint_of(p.batch.prior[7]));
-      };
-      stand_in::frame f = s.current;
-      f.mnId += round;
-      searching.search_by_projection(f, s.last, 15, false);
-      searching.search_local_points(f, local, 2);
-      stand_in::frame other = f;
-      set(f);
-      int const n = searching.inertial_pose_optimization(f, stage::pose_inertial_last_frame);
-      set(other);
-      EXPECT_EQ(alone.inertial_pose_optimization(other, stage::pose_inertial_last_frame), n);
-      EXPECT_NE(n, ft::orbslam3::call_refused);
-      auto const got = stored_state_of(f);
-      auto const want = stored_state_of(other);
-      EXPECT_EQ(std::memcmp(&got, &want, sizeof got), 0);
-      EXPECT_EQ(f.mvbOutlier, other.mvbOutlier);
-      EXPECT_GT(std::count_if(f.mvpMapPoints.begin(), f.mvpMapPoints.end(),
-                              [](auto const* q) { return q != nullptr; }),
-                100);
-      delete f.mpcpi;
-      delete other.mpcpi;
-    }
-  }
-}
-
 TEST_P(inertial_poses, have_statistics_of_their_own) {
   random_problems const p(sensor::monocular);
   ft::orbslam3::options o;

@@ -161,10 +161,7 @@ protected:
     for (int& w : vocabulary.word) { w = w < 0 ? -1 : words++; }  // as lines of the text
     write_text(path, vocabulary);
   }
-  ~relocalization() override {
-    std::filesystem::remove(path);
-    std::filesystem::remove(path + ".ft");
-  }
+  ~relocalization() override { std::filesystem::remove(path); }
   /// Two candidates, of which the first sees another place.
   void relocalize(sensor kind, bool verify) {
     lost_frame v(kind, 3);

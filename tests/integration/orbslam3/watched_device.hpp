@@ -117,8 +117,6 @@ public:
   }
   ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
   void reset_bytes() override { to_->reset_bytes(); }
-  void measure() override { to_->measure(); }
-  ft::orbslam3::device_times times() const override { return to_->times(); }
 
 private:
   std::unique_ptr<device_tracker> to_;

@@ -33,6 +33,7 @@ namespace detail {
 class turn_history {
 public:
   static constexpr double jerk = 5;  ///< rad/s from sample to sample: no body turns so
+  static constexpr std::int64_t longest_gap_ns = 100'000'000;
 
   void reserve(std::size_t samples) { ring_.resize(samples); }
   void clear() { count_ = 0; }
@@ -78,7 +79,6 @@ public:
   }
 
 private:
-  static constexpr std::int64_t longest_gap_ns = 100'000'000;
   struct entry {
     std::int64_t time_ns;
     strict_mat3d R;

@@ -330,10 +330,10 @@ def beside_ceres():
     return lines
 
 
-def scenario_rows():
+def scenario_rows(file="scenarios_host.json"):
     """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
     try:
-        result = load("scenarios_host.json")
+        result = load(file)
     except FileNotFoundError:
         return NOT_YET
     by_name = {}
@@ -382,7 +382,8 @@ def beside_cuvslam():
 
 
 def wanted():
-    """Of wanted.json: each case as it was, as it is wanted, and as another file says it is."""
+    """Of wanted.json: each case as it was, as it is wanted, and as another file says it is. A row is as wanted where all its
+    conditions hold."""
     files = {}
     lines = ["| case | at 5c02885 | wanted | today | rows as wanted |", "|---|---|---|---:|---:|"]
     section = ""
@@ -397,11 +398,24 @@ def wanted():
         keys = [k for k in ("scenario", "recording", "every") if k in case]
         rows = [r for r in files[name] if all(r.get(k) == case[k] for k in keys)]
         values = [figure_of(r, case["figure"]) for r in rows]
-        good = sum(v is not None and case.get("least", v) <= v <= case.get("most", v) for v in values)
+        good = sum(all(holds(r, *limit) for limit in limits_of(case)) for r in rows)
         known = [v for v in values if v is not None]
         cells = [case["case"], case["before"], case["wanted"], said_of(known, case["figure"]), f"{good} of {len(rows)}"]
         lines.append("| " + " | ".join(cells) + " |")
     return lines
+
+
+def limits_of(case):
+    """What a row has to keep: figure, "most" or "least", and the number."""
+    of_figure = [(case["figure"], way, case[way]) for way in ("most", "least") if way in case]
+    others = [(figure, way, limit) for (way, _, figure), limit in ((k.partition("."), v) for k, v in case.items()) if figure]
+    return of_figure + others
+
+
+def holds(row, figure, way, limit):
+    """A figure that was not measured is not as wanted."""
+    value = figure_of(row, figure)
+    return value is not None and (value <= limit if way == "most" else value >= limit)
 
 
 def figure_of(row, name):
@@ -430,7 +444,12 @@ def median_mm(lengths):
 
 
 TABLES = {
-    "docs/scenarios.md": {"scenarios": scenario_rows, "wanted": wanted, "beside cuVSLAM": beside_cuvslam},
+    "docs/scenarios.md": {
+        "scenarios": scenario_rows,
+        "new seeds": lambda: scenario_rows("scenarios_new_seeds_host.json"),
+        "wanted": wanted,
+        "beside cuVSLAM": beside_cuvslam,
+    },
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
         "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,
@@ -452,8 +471,21 @@ TABLES = {
 }
 
 
+# What the words in the column `wanted` are judged by.
+WORDS = {"lost": "lost", "map": "maps", "told": "warned"}
+
+
 def self_test():
     global load
+    for case in load("wanted.json")["rows"]:
+        judged = {figure.removeprefix("ft.") for figure, _, _ in limits_of(case)}
+        for word, figure in WORDS.items():
+            assert (word in case["wanted"]) == (figure in judged), case
+    case = {"figure": "ate_share", "most": 0.02, "least.warned": 1, "most.silent": 0, "most.ft.lost": 2}
+    row = {"ate_share": 0.02, "warned": 1, "silent": 0, "ft.lost": 2}
+    assert len(limits_of(case)) == 4 and all(holds(row, *limit) for limit in limits_of(case))
+    for name, wrong in (("ate_share", 0.03), ("warned", 0), ("silent", 1), ("ft.lost", 3), ("silent", None)):
+        assert not all(holds({**row, name: wrong}, *limit) for limit in limits_of(case)), name
     row = {"name": "frame", "backend": "cuda", "batch": 1, "p50_us": 100.0, "p99_us": 120.0, "frames_per_s": 10000.0, "map_points": 3000}
     results = {
         "gpu": "a GPU", "date": "2000-01-01", "commit": "0", "image": [752, 480],

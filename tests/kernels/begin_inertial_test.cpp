@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -125,6 +126,34 @@ TYPED_TEST(PredictInertialFrames, AreLessCertainOfTurnsWhileTheOffsetOfTheClocks
   for (std::size_t k = 0; k < 81; ++k) {
     EXPECT_NEAR(changed[k] - known[k], k == 20 ? 4e-4f : 0, 1e-9f) << k;
   }
+}
+
+TYPED_TEST(PredictInertialFrames, TakeTheMeanRateForOneThatIsUnknown) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  float const none = ft::detail::unknown_rate;
+  r.data.host.imu.integrals[0].mean_gyro = {0, 0, 1.5f};
+  r.data.host.imu.integrals[0].bias.gyro = {0, 0, 0.5f};
+  auto const more = [&](float from, float to) {
+    r.imu().rate = {from, from, from};
+    if (!std::isnan(from)) { r.imu().rate = {0, 0, from}; }
+    r.data.host.imu.integrals[0].steps = std::isnan(to) ? 0 : 1;
+    r.data.host.imu.steps.of(0)[0].gyro = {0, 0, to};
+    r.imu().clock_sigma = 0;
+    auto const before = r.imu();
+    r.predict();
+    float const exact = r.data.host.imu.inputs.integral[0].C[20];
+    r.imu() = before;
+    r.imu().clock_sigma = 0.01f;
+    r.predict();
+    return r.data.host.imu.inputs.integral[0].C[20] - exact;
+  };
+  EXPECT_NEAR(more(2, 2), 0, 1e-9f);
+  EXPECT_NEAR(more(0, 2), 4e-4f, 1e-9f);
+  EXPECT_NEAR(more(none, 2), 0, 1e-9f);
+  EXPECT_NEAR(more(none, 3), 1e-4f, 1e-9f);
+  EXPECT_NEAR(more(1, none), 1e-4f, 1e-9f);
+  EXPECT_NEAR(more(none, none), 4e-4f, 1e-9f) << "nothing tells that it did not change";
 }
 
 TYPED_TEST(PredictInertialFrames, LeaveThePoseToACallerWhoPredictsIt) {

@@ -77,7 +77,7 @@ struct room {
       v.problem.T_cw[v.problem.view(b, i)] = (T_wb * T_bc).inverse();
       v.problem.link[v.problem.view(b, i)] = {motion::identity(), 7, 7};
       T_cw.push_back(v.problem.T_cw[v.problem.view(b, i)]);
-      v.imu.motion[at] = {narrow(velocity), 1, 0};
+      v.imu.motion[at] = {narrow(velocity), 1, 0, narrow(rate)};
       // The interval up to the next keyframe; the integral is kept there.
       auto const down = T_wb.R.transposed() * gravity;
       ft::preintegrated p{};
@@ -86,6 +86,7 @@ struct room {
       p.dV = narrow(ft::scaled(down, -static_cast<double>(dT)));
       p.dP = narrow(ft::scaled(down, -0.5 * static_cast<double>(dT * dT)));
       p.bias = t.bias;
+      p.mean_gyro = narrow(rate) - t.bias.gyro;
       for (int k = 0; k < 9; ++k) { p.C[10 * k] = k < 3 ? 1e-8f : k < 6 ? 1e-6f : 4e-6f; }
       p.status = ft::integration_status::integrated;
       if (i + 1 < views) { v.imu.between[v.imu.at(b, v.keyframes.position(number + 1))] = p; }
@@ -158,14 +159,32 @@ TYPED_TEST(LinkWindows, AreWeakerWhileTheOffsetOfTheClocksIsNotKnown) {
   auto const at_once = r.link();
   float const sigma = 0.01f, faster = 0.5f;  // the rate of turning changes by so much, rad/s
   r.data.host.imu.tracks[0].clock_sigma = sigma;
-  r.moved(0, 2).rate = {0, faster, 0};
+  r.moved(0, 2).rate.y += faster;
   auto const links = r.link();
-  EXPECT_EQ(links[1].rotation_weight, at_once[1].rotation_weight) << "at a constant rate";
+  EXPECT_NEAR(links[1].rotation_weight / at_once[1].rotation_weight, 1, 1e-9) << "a constant rate";
   double const more = std::pow(static_cast<double>(sigma * faster), 2);
   for (std::size_t const i : {2, 3}) {
     EXPECT_NEAR(1 / links[i].rotation_weight - 1 / at_once[i].rotation_weight, more, 1e-4 * more);
     EXPECT_EQ(links[i].translation_weight, at_once[i].translation_weight);
   }
+}
+
+TYPED_TEST(LinkWindows, TakeTheMeanRateForOneThatIsUnknown) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec, 5);
+  auto const at_once = r.link();
+  float const sigma = 0.01f;
+  r.data.host.imu.tracks[0].clock_sigma = sigma;
+  ft::vec3<float> const mean = r.moved(0, 0).rate;
+  r.moved(0, 0).rate = ft::inertial_track::no_rate();
+  auto const one = r.link();
+  EXPECT_NEAR(one[1].rotation_weight / at_once[1].rotation_weight, 1, 1e-9);
+  r.moved(0, 1).rate = ft::inertial_track::no_rate();
+  auto const both = r.link();
+  // Nothing tells that the rate did not change: by as much as it was.
+  double const more = std::pow(static_cast<double>(sigma), 2) * dot(mean, mean);
+  EXPECT_NEAR(1 / both[1].rotation_weight - 1 / at_once[1].rotation_weight, more, 1e-4 * more);
+  EXPECT_NEAR(both[2].rotation_weight / at_once[2].rotation_weight, 1, 1e-9);
 }
 
 TYPED_TEST(LinkWindows, SayNothingWhereTheImagesTurnedOtherwise) {

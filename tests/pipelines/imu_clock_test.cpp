@@ -161,4 +161,13 @@ TEST(ImuClock, ASpikeOrANewMapDoNotMoveIt) {
   EXPECT_NEAR(found(s).offset_s, 0.02, 1e-3);
 }
 
+TEST(ImuClock, InUseIsAsUncertainAsItIsKnownToBeWrong) {
+  using ft::detail::sigma_of_clock;
+  EXPECT_EQ(sigma_of_clock({}, 0.05), 0.01) << "no estimate";
+  EXPECT_EQ(sigma_of_clock({false, 0.05, 0.03}, 0.05), 0.01) << "no better one";
+  EXPECT_EQ(sigma_of_clock({false, 0.05, 0.002}, 0.05), 0.002);
+  EXPECT_EQ(sigma_of_clock({true, 0.05, 0.001}, 0), 0.05) << "found, and not applied";
+  EXPECT_EQ(sigma_of_clock({true, -0.004, 0.001}, 0), 0.004);
+}
+
 }  // namespace imu_clock_test

@@ -202,6 +202,58 @@ TEST(SampleQueue, LeavesOutSingleRatesThatNoBodyHas) {
   EXPECT_EQ(described(q).left_out.spikes, 3);
 }
 
+ft::imu_measurement turning(std::int64_t time_ns, float rate) {
+  auto m = at(time_ns);
+  m.gyro.y = rate;
+  return m;
+}
+/// Samples at rest, 200 Hz, until 195 ms.
+void rest(queue& q) {
+  q.set_limits({});
+  for (int k = 0; k < 40; ++k) { q.add(turning(5 * k * ms, 0)); }
+}
+
+TEST(SampleQueue, KeepsTheNewestSampleUntilTheNextTellsWhetherItIsASpike) {
+  queue q;
+  rest(q);
+  q.add(turning(200 * ms, -8));
+  EXPECT_DOUBLE_EQ(taken(q, 0, 200 * ms + 1).back(), 0.195);
+  EXPECT_EQ(q.size(), 1u);
+  EXPECT_TRUE(taken(q, 0, 203 * ms).empty());
+  for (int k = 41; k < 44; ++k) { q.add(turning(5 * k * ms, -8)); }
+  expect_times(taken(q, 0, 210 * ms), {0.2, 0.205, 0.21});
+  EXPECT_EQ(described(q).left_out.spikes, 0);
+}
+
+TEST(SampleQueue, TakesNoFastChangeForASpike) {
+  queue q;
+  rest(q);
+  std::int64_t time = 195 * ms;
+  for (float const rate : {6.0f, 12.0f, 12.0f, 6.0f, 0.0f}) {
+    q.add(turning(time += 5 * ms, rate));
+  }
+  EXPECT_EQ(described(q).left_out.spikes, 0);
+  EXPECT_EQ(q.size(), 45u);
+}
+
+TEST(SampleQueue, ComparesNoRatesOverAGap) {
+  for (bool const before : {false, true}) {
+    queue q;
+    rest(q);
+    q.add(turning((before ? 2195 : 200) * ms, 8));
+    q.add(turning((before ? 2200 : 3200) * ms, 0));
+    EXPECT_EQ(described(q).left_out.spikes, 0) << before;
+    EXPECT_EQ(q.size(), 42u) << before;
+  }
+  // The clock is set back after what may have been a spike.
+  queue q;
+  rest(q);
+  q.add(turning(200 * ms, 8));
+  for (int k = 0; k < queue::enough_behind; ++k) { q.add(turning((100 + k) * ms, 0)); }
+  EXPECT_EQ(described(q).left_out.spikes, 0);
+  EXPECT_DOUBLE_EQ(taken(q, 0, 300 * ms).back(), 0.115);
+}
+
 TEST(SampleQueue, MeasuresHowOftenSamplesCome) {
   queue q;
   q.set_limits({});

@@ -123,7 +123,8 @@ struct imu_params {
   double time_offset_s = 0;
   /// The offset is estimated, where the camera turns at a changing rate. One that differs clearly
   /// from that in use, by 4 standard deviations and 1.5 ms, replaces it: the IMU begins anew. That
-  /// of a monocular_rig is only told.
+  /// of a monocular_rig is only told. As long as it is not known, turns at a changing rate weigh
+  /// less; with false, time_offset_s is exact.
   bool estimate_time_offset = true;
   static constexpr double max_time_offset_s = 10;
   selection_params selection;  ///< a rate_hz of 0 becomes the noise's

@@ -59,11 +59,19 @@ FT_HOST_DEVICE inline rigid<double> pose_of(stored_inertial_state const& state) 
 
 /// By how much the rotation of an integral grows with the offset of its clock: that at the end less
 /// that at the begin, rad/s, in the body's frame at the end.
-/// @param from, to rates of turning at its begin and end, in the body's frame there
+/// A rate that is unknown is the integral's mean one; where both are, the body begins at rest.
+/// @param from, to rates of turning at its begin and end, in the body's frame there; NaN = unknown
 FT_HOST_DEVICE inline vec3<strict_float> turn_by_clock(preintegrated const& p, vec3<float> from,
                                                        vec3<float> to) {
   using real = strict_float;
-  return to.cast<real>() - p.dR.cast<real>().transposed() * from.cast<real>();
+  auto const known = [](vec3<float> v) {
+    return scalar::is_finite(v.x) && scalar::is_finite(v.y) && scalar::is_finite(v.z);
+  };
+  vec3<real> const mean = p.mean_gyro.cast<real>() + p.bias.gyro.cast<real>();
+  vec3<real> const end = known(to) ? to.cast<real>() : mean;
+  if (!known(from) && !known(to)) { return end; }
+  vec3<real> const begin = known(from) ? from.cast<real>() : mean;
+  return end - p.dR.cast<real>().transposed() * begin;
 }
 
 /// Item: a camera. Copies its samples, and says what is integrated up to its next frame.
@@ -211,7 +219,7 @@ private:
     t.status = v.from_last(b).status;
     t.last_rate = t.rate;
     int const steps = usable(t.status) ? v.from_last(b).steps : 0;
-    t.rate = steps > 0 ? v.steps.of(b)[steps - 1].gyro : vec3<float>{0, 0, 0};
+    t.rate = steps > 0 ? v.steps.of(b)[steps - 1].gyro : inertial_track::no_rate();
     camera_track& track = state.tracks[b];
     track.guided = 0;
     bool const blind = saturated_difference(track.time_ns, track.seen_ns) >= longest_bridge_ns;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <limits>
 
 #include "ft/containers/inertial.hpp"
 #include "ft/core/config.hpp"
@@ -24,6 +25,10 @@ enum class inertial_source : int {
   last_keyframe,  ///< the map has changed since the last frame, or that has no prior
   last_frame,
 };
+
+namespace detail {
+inline constexpr float unknown_rate = std::numeric_limits<float>::quiet_NaN();
+}  // namespace detail
 
 /// What is kept of the IMU of one camera. The world is the odometry's.
 struct inertial_track {
@@ -54,11 +59,14 @@ struct inertial_track {
   int gyro_agrees;            ///< 1 = the gyroscope turned as the images until the last frame
   int stale;                  ///< 1 = the next estimate comes from before the IMU began anew
   /// Rates of turning at the current frame, the one before, and the newest keyframe, in the body's
-  /// frame there, rad/s; 0 = unknown.
+  /// frame there, rad/s; NaN = unknown.
   vec3<float> rate, last_rate, keyframe_rate;
   float clock_sigma;  ///< inertial_input::clock_sigma_s
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }
+  FT_HOST_DEVICE static vec3<float> no_rate() {
+    return {detail::unknown_rate, detail::unknown_rate, detail::unknown_rate};
+  }
   FT_HOST_DEVICE static inertial_track initial() {
     inertial_track t{};
     t.last.q_cw = t.keyframe.q_cw = t.predicted.q_cw = {0, 0, 0, 1};
@@ -66,6 +74,7 @@ struct inertial_track {
     t.status = integration_status::no_samples;
     t.estimate = initialization_status::few_keyframes;
     t.seen = rigid<double>::identity();
+    t.rate = t.last_rate = t.keyframe_rate = no_rate();
     return t;
   }
   /// Nothing is known any longer, but the unit of the map.
@@ -85,10 +94,10 @@ struct inertial_track {
 
 /// Of a keyframe when it was made.
 struct keyframe_motion {
-  vec3<float> v;       ///< world, m/s
-  int moves;           ///< 1 = it is known
-  int weak;            ///< as in inertial_track
-  vec3<float> rate{};  ///< likewise
+  vec3<float> v;     ///< world, m/s
+  int moves;         ///< 1 = it is known
+  int weak;          ///< as in inertial_track
+  vec3<float> rate;  ///< likewise
 };
 
 /// Inputs of a frame from the host, one camera.

@@ -33,6 +33,7 @@ namespace detail {
 class turn_history {
 public:
   static constexpr double jerk = 5;  ///< rad/s from sample to sample: no body turns so
+  static constexpr std::int64_t longest_gap_ns = 100'000'000;
 
   void reserve(std::size_t samples) { ring_.resize(samples); }
   void clear() { count_ = 0; }
@@ -78,7 +79,6 @@ public:
   }
 
 private:
-  static constexpr std::int64_t longest_gap_ns = 100'000'000;
   struct entry {
     std::int64_t time_ns;
     strict_mat3d R;
@@ -254,6 +254,17 @@ inline imu_clock_offset imu_clock::estimate() const {
   if (!alone) { return {}; }
   out.known = out.sigma_s < 1e-3;
   return out;
+}
+
+/// Standard deviation of the offset in use until there is an estimate, s: stamps of the begin or
+/// the end of an exposure, or of the arrival of an image, are off by as much.
+inline constexpr double unknown_clock_s = 0.01;
+
+/// How well the offset in use is known, s. What an estimate says that it is off by counts wholly.
+/// @param used_s the offset in use
+inline double sigma_of_clock(imu_clock_offset const& found, double used_s) {
+  if (!(found.sigma_s > 0)) { return unknown_clock_s; }
+  return max_of(min_of(found.sigma_s, unknown_clock_s), std::abs(found.offset_s - used_s));
 }
 
 }  // namespace detail

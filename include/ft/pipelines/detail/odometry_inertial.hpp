@@ -227,9 +227,6 @@ private:
   sample_queue& queue(int b) { return queues_[static_cast<std::size_t>(b)]; }
   /// Smaller changes of the offset are not made: standard deviations, and seconds.
   static constexpr double clear_sigmas = 4, clear_change_s = 1.5e-3;
-  /// Standard deviation of the offset in use until there is an estimate, s: stamps of the begin or
-  /// the end of an exposure, or of the arrival of an image, are off by as much.
-  static constexpr float unknown_clock_s = 0.01f;
   static std::int64_t nanoseconds(double s) { return std::llround(s * 1e9); }
 
   /// What the images alone tell of the IMU's attitude.
@@ -252,13 +249,11 @@ private:
     used = nanoseconds(found.offset_s);
     return true;
   }
-  /// How well the offset in use is known. A given one is exact where it is not to be estimated.
+  /// A given offset is exact where it is not to be estimated.
   float clock_sigma(int b, imu_clock_offset const& found) const {
     if (!params_.estimate_time_offset) { return 0; }
-    if (!(found.sigma_s > 0)) { return unknown_clock_s; }
     double const used = static_cast<double>(offset_ns_[static_cast<std::size_t>(b)]) * 1e-9;
-    double const off = max_of(found.sigma_s, std::abs(found.offset_s - used));
-    return min_of(static_cast<float>(off), unknown_clock_s);
+    return static_cast<float>(sigma_of_clock(found, used));
   }
   static constexpr memory_space staging = staging_space<Exec>;
 

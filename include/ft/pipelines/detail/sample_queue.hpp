@@ -86,17 +86,20 @@ public:
   /// Nearer than so many samples, several are a vibration.
   static constexpr int apart = 16;
 
-  /// @return whether the sample before was a spike
-  bool add(vec3<float> gyro) {
-    bool const spike = suspect_ && is_jump(newest_, gyro);
+  /// @return whether the sample before was a spike: its neighbours agree, and are near in time
+  bool add(std::int64_t time_ns, vec3<float> gyro) {
+    std::int64_t const step = saturated_difference(time_ns, newest_ns_);
+    bool const near = any_ && step > 0 && step <= turn_history::longest_gap_ns;
+    bool const spike = near && suspect_ && is_jump(newest_, gyro) && !is_jump(before_, gyro);
     if (spike) {
       since_ = 0;
     } else {
       before_ = newest_;
       since_ = std::min(since_ + 1, apart);
     }
-    suspect_ = any_ && since_ == apart && is_jump(before_, gyro);
+    suspect_ = near && since_ == apart && is_jump(before_, gyro);
     newest_ = gyro;
+    newest_ns_ = time_ns;
     any_ = true;
     return spike;
   }
@@ -110,7 +113,8 @@ private:
   }
 
   vec3<float> before_{}, newest_{};  ///< rad/s
-  int since_ = apart - 1;            ///< samples since the last spike, at most `apart`
+  std::int64_t newest_ns_ = 0;
+  int since_ = apart - 1;  ///< samples since the last spike, at most `apart`
   bool any_ = false;
   bool suspect_ = false;
 };
@@ -146,7 +150,7 @@ public:
       leave_out_repetitions(m, repeated);
       return;
     }
-    if (spikes_.add(m.gyro)) {
+    if (spikes_.add(m.time_ns, m.gyro)) {
       ++left_out_.spikes;
       if (waiting_.size() > first_ && waiting_.back().time_ns == last_ns_) { waiting_.pop_back(); }
     }
@@ -160,7 +164,8 @@ public:
     ++left_out_.crowded_out;
     if (++first_ >= capacity_) { drop_until(waiting_.begin() + at(first_)); }
   }
-  /// Copies the samples up to the first one at `to_ns` or later, and drops those before it.
+  /// Copies the samples up to the first one at `to_ns` or later, and drops those before it. A
+  /// newest one that may be a spike waits.
   /// @param base_ns time 0 of the copies, as to_ns on the IMU's clock @return their number; above
   /// `capacity`, no more are copied
   int take(std::int64_t base_ns, std::int64_t to_ns, int capacity, imu_sample* to) {
@@ -168,8 +173,8 @@ public:
     auto const late = std::find_if(waiting_.begin() + at(first_), waiting_.end(),
                                    [&](imu_measurement const& m) { return m.time_ns >= to_ns; });
     auto end = late == waiting_.end() ? late : late + 1;
-    bool const suspect = spikes_.suspects() && end == waiting_.end();
-    if (suspect && end != waiting_.begin() + at(first_)) { --end; }
+    bool const newest = end == waiting_.end() && waiting_.size() > first_;
+    if (newest && spikes_.suspects() && waiting_.back().time_ns == last_ns_) { --end; }
     int n = 0;
     for (auto m = waiting_.begin() + at(first_); m != end; ++m, ++n) {
       if (n < capacity) {
@@ -177,7 +182,7 @@ public:
                  m->gyro};
       }
     }
-    drop_until(late);
+    drop_until(std::min(late, end));
     return n;
   }
   /// See imu_clock.

@@ -118,6 +118,7 @@ private:
     path_loop loop;
     int inliers;
   };
+  static constexpr int beside = 5;  ///< keyframes from a chosen one, that see the same place
   int query() const { return path.size() - 1; }
 
   /// Votes for the keyframes that are not among the newest ones of their part. @return their number
@@ -137,8 +138,9 @@ private:
 
   /// The keyframes with most votes together with their neighbours, the first one of equals; then,
   /// in the part of the query, that of those with at least half as many which is nearest in a
-  /// straight line, for where places look the same that is the one. Of a map that is not joined yet
-  /// two more, which may be places that look the same.
+  /// straight line, for where places look the same that is the one. Each is so many keyframes from
+  /// those before that it sees another place. Of a map that is not joined yet two more, which may
+  /// be places that look the same.
   std::vector<std::vector<int>> choose(int n) const {
     int const* const votes = staging_->votes;
     std::vector<int> sums(static_cast<std::size_t>(n));
@@ -160,7 +162,7 @@ private:
         i = nearest(sums, enough, i);
       }
       groups.push_back(neighbours(i, n));
-      for (int k = std::max(i - 2, 0); k <= std::min(i + 2, n - 1); ++k) {
+      for (int k = std::max(i - beside, 0); k <= std::min(i + beside, n - 1); ++k) {
         sums[static_cast<std::size_t>(k)] = 0;
       }
     }

@@ -3,7 +3,7 @@
 """Loops, pose graphs and whole maps, measured: runs the programs and writes one file of bench/results' shape.
 
   loops.py --bin FOLDER --out FILE.json --commit C [--backend cuda] [--jobs 16] [--only laps graphs ...]
-             [--data FOLDER]    recordings and pose graphs, for kitchen, hololens and graphs
+             [--data FOLDER]    recordings and pose graphs, for `recordings` and `graphs`
 
 FOLDER has track_sequence, generate_sequence, ft_pose_graphs, ft_bundles and, by the backend, optimize_pose_graph, adjust_map and
 loop_cases_host, or optimize_pose_graph_cuda, adjust_map_cuda and loop_cases_cuda. A part that fails is left out, and the exit status is 1.

@@ -304,15 +304,27 @@ def places():
 LOOPS = "loops_cases_h100.json"
 
 
+def said_of(record):
+    """Where it was measured, and before which change, if it was."""
+    machine = record["machine"]
+    line = f"{machine.get('gpu') or machine['processor']}, commit {record['commit']}"
+    before = record.get("settings", {}).get("before")
+    return line + (f": before {before}." if before else ".")
+
+
+def walk(name):
+    return {"walk_1000": "walk, 50 loops anywhere"}.get(name, "walk in laps" if name.startswith("walk_") else name)
+
+
 def loop_trials():
     record, rows = tables_of(LOOPS, "trials")[-1]
-    lines = [f"Commit {record['commit']}.", "", "| walls | trials | loops | wrong | revisits found |", "|---|---:|---:|---:|---:|"]
+    lines = [said_of(record), "", "| walls | trials | loops | wrong | revisits found |", "|---|---:|---:|---:|---:|"]
     return lines + [f"| {r['what']} | {r['trials']} | {r['loops']} | {r['wrong_loops']} | {r['revisits_found']} |" for r in rows]
 
 
 def beside_keyframes():
     record, rows = tables_of(LOOPS, "flat")[-1]
-    lines = [f"Commit {record['commit']}.", "", "| keyframes for loops | p50, us | p99, us | most, us | device, MB |", "|---:|---:|---:|---:|---:|"]
+    lines = [said_of(record), "", "| keyframes for loops | p50, us | p99, us | most, us | device, MB |", "|---:|---:|---:|---:|---:|"]
     return lines + [f"| {r['keyframes'] or 'without loops'} | {r['p50_us']:.0f} | {r['p99_us']:.0f} | {r['max_us']:.0f} | {r['device_mb']:.0f} |" for r in rows]
 
 
@@ -321,8 +333,9 @@ def beside_ceres():
     for record, rows in tables_of(LOOPS, "graphs")[-1:]:
         for r in rows:
             theirs = r.get("ceres_within_1e-6_ms")
-            end = f"{theirs:.0f} | {theirs / r['median_ms']:.0f}" if theirs else " | "
-            lines.append(f"| pose graph {r['graph']}, {r['poses']} poses | {record['commit']} | {r['median_ms']:.1f} | {end} |")
+            limit = r.get("ceres_not_within_ms")
+            end = f"{theirs:.0f} | {theirs / r['median_ms']:.0f}" if theirs else f"> {limit / 1000:.0f} s | " if limit else "not run | "
+            lines.append(f"| pose graph {walk(r['graph'])}, {r['poses']} poses | {record['commit']} | {r['median_ms']:.1f} | {end} |")
     for record, rows in tables_of(LOOPS, "maps")[-1:]:
         for r in rows:
             what = f"map, {r['views']} views, {r['points']} points" + (f", {100 * r['outliers']:.0f} % outliers" if r["outliers"] else "")

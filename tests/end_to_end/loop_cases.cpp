@@ -3,7 +3,8 @@
 // rendered walls. On a GPU where nvcc compiles it (-x cu), else on the host. Rows of JSON; what was
 // not as wanted goes to stderr, one line each.
 //
-//     loop_cases check                       a few: fails with a wrong loop, or a start not found
+//     loop_cases check                       a few: fails with a wrong loop, where no revisit
+//                                            is found or many images are lost, or a start is not
 //     loop_cases trials COUNT JOBS [KIND]    of kinds 0, 1 a third each, of 2, 3 a sixth; or of one
 //     loop_cases starts COUNT JOBS
 //     loop_cases flat FRAMES MS KEYFRAMES... a frame each MS milliseconds; 0: without loops

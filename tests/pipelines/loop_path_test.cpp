@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <vector>
@@ -227,6 +228,29 @@ TEST(LoopPath, LoopsToTwoPlacesThatLookTheSameContradictEachOther) {
   EXPECT_TRUE(path.contradict(a, near, params, 4));
   path.keyframes[opposite].part = 2;
   EXPECT_FALSE(path.contradict(a, twin, params, 0.1)) << "where that part is is a guess";
+}
+
+TEST(LoopPath, LoopsWhoseScaleHasDriftedInBetweenDoNotContradictEachOther) {
+  constexpr int n = 60, late = n - 5;
+  constexpr double share = 0.008;  // half in all, e^0.44 between the two keyframes
+  loop_path path = growing_lap(n, share);
+  ft::loop_params const params;
+  path_loop const a = true_scaled_loop(0, n - 1, n, share);
+  path_loop const b = true_scaled_loop(late, n - 1, n, share);
+  auto const placed = [&](path_loop const& l) {
+    return path.at(l.from).T_world_camera * l.T_from_to;
+  };
+  auto const off = placed(a).t - placed(b).t;
+  double const drift = static_cast<double>(params.max_drift) * path.way(0, late);
+  ASSERT_GT(std::sqrt(ft::dot(off, off)), drift) << "what the drift of the scale explains";
+  EXPECT_FALSE(path.contradict(a, b, params, 0));
+  EXPECT_FALSE(path.contradict(b, a, params, 0));
+  ft::loop_params exact = params;
+  exact.max_scale_drift = 0.4f;
+  EXPECT_TRUE(path.contradict(a, b, exact, 0)) << "more than a scale drifts";
+  path_loop same_scale = a;  // which explains nothing
+  same_scale.T_from_to.scale = b.T_from_to.scale;
+  EXPECT_TRUE(path.contradict(same_scale, b, params, 0));
 }
 
 /// A lap whose second half is another map, that begins at a wrong place.

@@ -20,7 +20,9 @@ struct loop_params {
   /// evenly.
   int points = 400;
   int recent = 30;  ///< the newest keyframes, which the odometry's own map connects with a frame
-  int groups = 2;   ///< neighbourhoods that are verified for a keyframe, each of three keyframes
+  /// Neighbourhoods that are verified for a keyframe, each of three keyframes. With one no place
+  /// is compared with another, but by a map that is not joined yet.
+  int groups = 2;
   /// Of the keypoints of a keyframe, those whose descriptors are compared with all keyframes'.
   int votes = 128;
   int min_votes = 12;      ///< that find an alike point in a keyframe which is to be verified
@@ -43,7 +45,8 @@ struct loop_params {
 /// kept and are not among the newest, one search after the other: by descriptors, then by a pose
 /// that most matches agree with. A loop is closed where two neighbouring keyframes say the same of
 /// that pose, what it corrects is no more than the odometry may have drifted since, and no other
-/// place that half as many matches agree with contradicts it. A map that a lost camera begins is
+/// place of those that were verified, that more than half as many matches agree with, contradicts
+/// it. A map that a lost camera begins is
 /// joined with an older one where two of its keyframes say the same; that of a camera that is not
 /// found in a loaded map where two of its first frames do. Then the poses of all keyframes are
 /// optimised, with an IMU that knew gravity before the first loop in heading and position alone.

@@ -141,8 +141,9 @@ struct loop_path {
     return n;
   }
   /// Whether two loops to a keyframe cannot both be right: they place it farther apart than the
-  /// path may have drifted in between, and than half the distance between the keyframes that they
-  /// are from; or turned so. Of different parts it is not known.
+  /// path may have drifted in between, with as much more as their scales differ by, and than half
+  /// the distance between the keyframes that they are from; or turned so, or with such a scale. Of
+  /// different parts it is not known.
   bool contradict(path_loop const& a, path_loop const& b, loop_params const& params,
                   double baseline) const {
     path_keyframe const& from_a = at(a.from);
@@ -151,10 +152,12 @@ struct loop_path {
     double const way = this->way(std::min(a.from, b.from), std::max(a.from, b.from));
     auto const placed_a = from_a.T_world_camera * a.T_from_to;
     auto const placed_b = from_b.T_world_camera * b.T_from_to;
+    double const scaled_by = std::abs(std::log(placed_a.scale / placed_b.scale));
+    double const drift = static_cast<double>(params.max_drift) + scaled_by;
     double const apart = length(from_a.T_world_camera.t - from_b.T_world_camera.t);
     double const turned = angle(from_a.T_world_camera.R.transposed() * from_b.T_world_camera.R);
-    return length(placed_a.t - placed_b.t) >
-               std::max(static_cast<double>(params.max_drift) * way + baseline, 0.5 * apart) ||
+    return length(placed_a.t - placed_b.t) > std::max(drift * way + baseline, 0.5 * apart) ||
+           scaled_by > static_cast<double>(params.max_scale_drift) ||
            angle(placed_a.R.transposed() * placed_b.R) >
                std::max(static_cast<double>(params.max_turn) + 0.01 * way, 0.5 * turned);
   }

@@ -86,9 +86,13 @@ struct loop_search {
       c.place({archive.rows}, s.rows, s.votes);
       c.place({most}, s.found);
     });
-    path.reserve(archive.rows, params.groups);
-    corrected.reserve(archive.rows, params.groups);
+    path.reserve(archive.rows, params.groups + more_to_join);
+    corrected.reserve(archive.rows, params.groups + more_to_join);
   }
+
+  /// Groups that are verified beyond loop_params::groups where the query is of another part than
+  /// the first.
+  static constexpr int more_to_join = 2;
 
   /// Called on a thread of its own.
   void enqueue(host_exec const& threads, int) {
@@ -98,9 +102,11 @@ struct loop_search {
     if (candidates == 0) { return; }
     std::vector<verified_loop> found;
     for (auto const& group : choose(candidates)) { verify(exec, group, found); }
+    std::vector<path_loop> told_apart;  // by the path as it was: close() may move a part of it
     for (verified_loop const& f : found) {
-      if (is_told_apart(f, found)) { close(f.loop); }
+      if (is_told_apart(f, found)) { told_apart.push_back(f.loop); }
     }
+    for (path_loop const& l : told_apart) { close(l); }
     if (closed == 0) { return; }
     path.optimize(threads);
     corrected.keyframes = path.keyframes;
@@ -112,6 +118,7 @@ private:
     path_loop loop;
     int inliers;
   };
+  static constexpr int beside = 5;  ///< keyframes from a chosen one, that see the same place
   int query() const { return path.size() - 1; }
 
   /// Votes for the keyframes that are not among the newest ones of their part. @return their number
@@ -130,9 +137,10 @@ private:
   }
 
   /// The keyframes with most votes together with their neighbours, the first one of equals; then,
-  /// in the part of the query, the nearest by the path of those with at least half as many, for
-  /// where places look the same that is the one. Of a map that is not joined yet two more, which
-  /// may be places that look the same.
+  /// in the part of the query, that of those with at least half as many which is nearest in a
+  /// straight line, for where places look the same that is the one. Each is so many keyframes from
+  /// those before that it sees another place. Of a map that is not joined yet two more, which may
+  /// be places that look the same.
   std::vector<std::vector<int>> choose(int n) const {
     int const* const votes = staging_->votes;
     std::vector<int> sums(static_cast<std::size_t>(n));
@@ -142,7 +150,8 @@ private:
     }
     std::vector<std::vector<int>> groups;
     int enough = 0;
-    int const most_groups = params.groups + (path.at(query()).part == path.at(0).part ? 0 : 2);
+    int const most_groups =
+        params.groups + (path.at(query()).part == path.at(0).part ? 0 : more_to_join);
     while (static_cast<int>(groups.size()) < most_groups) {
       auto const most = std::max_element(sums.begin(), sums.end());
       if (*most == 0) { break; }
@@ -153,15 +162,15 @@ private:
         i = nearest(sums, enough, i);
       }
       groups.push_back(neighbours(i, n));
-      for (int k = std::max(i - 2, 0); k <= std::min(i + 2, n - 1); ++k) {
+      for (int k = std::max(i - beside, 0); k <= std::min(i + beside, n - 1); ++k) {
         sums[static_cast<std::size_t>(k)] = 0;
       }
     }
     return groups;
   }
 
-  /// Of the keyframes of the query's part that have enough votes the nearest one; i if there is
-  /// none.
+  /// Of the keyframes of the query's part that have enough votes the one that the path has nearest
+  /// in a straight line; i if there is none.
   int nearest(std::vector<int> const& sums, int enough, int i) const {
     path_keyframe const& from = path.at(query());
     double least = std::numeric_limits<double>::infinity();
@@ -224,7 +233,7 @@ private:
   /// Whether no other place looks as much like that of a loop.
   bool is_told_apart(verified_loop const& f, std::vector<verified_loop> const& all) const {
     for (verified_loop const& other : all) {
-      if (2 * other.inliers > f.inliers &&
+      if (&other != &f && 2 * other.inliers > f.inliers &&
           path.contradict(f.loop, other.loop, params, baseline())) {
         return false;
       }

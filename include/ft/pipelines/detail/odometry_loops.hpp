@@ -49,7 +49,7 @@ public:
     archive_ = owner<loop_archive_view, Exec::space>([&](carver& c, loop_archive_view& v) {
       carve(c, v, params_.keyframes + margin(), params_.points);
     });
-    path_.reserve(archive_->rows, params_.groups);
+    path_.reserve(archive_->rows, params_.groups + search_type::more_to_join);
     forget_all();
     beside_ = std::make_unique<work_beside<host_exec, search_type>>(
         loop_executor<Exec>::threads_of(exec),

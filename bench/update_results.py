@@ -22,6 +22,12 @@ def load(name):
     return {**record, "gpu": "", **record.get("machine", {}), **record.get("settings", {}), **record.get("tables", {})}
 
 
+def tables_of(name, table):
+    """All tables of a name in a file, the newest record last: (the record, its rows)."""
+    records = json.loads((RESULTS / name).read_text())["records"]
+    return [(r, r["tables"][table]) for r in records if table in r.get("tables", {})]
+
+
 def frame_results():
     """Of ft_bench; measured once, of the first executor in the file."""
     bench = load("frame_h200.json")
@@ -295,6 +301,35 @@ def places():
     return lines
 
 
+LOOPS = "loops_cases_h100.json"
+
+
+def loop_trials():
+    record, rows = tables_of(LOOPS, "trials")[-1]
+    lines = [f"Commit {record['commit']}.", "", "| walls | trials | loops | wrong | revisits found |", "|---|---:|---:|---:|---:|"]
+    return lines + [f"| {r['what']} | {r['trials']} | {r['loops']} | {r['wrong_loops']} | {r['revisits_found']} |" for r in rows]
+
+
+def beside_keyframes():
+    record, rows = tables_of(LOOPS, "flat")[-1]
+    lines = [f"Commit {record['commit']}.", "", "| keyframes for loops | p50, us | p99, us | most, us | device, MB |", "|---:|---:|---:|---:|---:|"]
+    return lines + [f"| {r['keyframes'] or 'without loops'} | {r['p50_us']:.0f} | {r['p99_us']:.0f} | {r['max_us']:.0f} | {r['device_mb']:.0f} |" for r in rows]
+
+
+def beside_ceres():
+    lines = ["| problem | commit | H100, ms | Ceres, ms | times as fast |", "|---|---|---:|---:|---:|"]
+    for record, rows in tables_of(LOOPS, "graphs")[-1:]:
+        for r in rows:
+            theirs = r.get("ceres_within_1e-6_ms")
+            end = f"{theirs:.0f} | {theirs / r['median_ms']:.0f}" if theirs else " | "
+            lines.append(f"| pose graph {r['graph']}, {r['poses']} poses | {record['commit']} | {r['median_ms']:.1f} | {end} |")
+    for record, rows in tables_of(LOOPS, "maps")[-1:]:
+        for r in rows:
+            what = f"map, {r['views']} views, {r['points']} points" + (f", {100 * r['outliers']:.0f} % outliers" if r["outliers"] else "")
+            lines.append(f"| {what} | {record['commit']} | {r['median_ms']:.1f} | {r['ceres_ms']:.0f} | {r['ceres_ms'] / r['median_ms']:.0f} |")
+    return lines
+
+
 def scenario_rows():
     """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
     try:
@@ -346,15 +381,59 @@ def beside_cuvslam():
     return lines
 
 
+def wanted():
+    """Of wanted.json: each case as it was, as it is wanted, and as another file says it is."""
+    files = {}
+    lines = ["| case | at 5c02885 | wanted | today | rows as wanted |", "|---|---|---|---:|---:|"]
+    section = ""
+    for case in load("wanted.json")["rows"]:
+        if case["section"] != section:
+            section = case["section"]
+            lines.append(f"| **{section}** | | | | |")
+        name = case["from"]
+        if name not in files:
+            records = json.loads((RESULTS / name).read_text())["records"]
+            files[name] = [row for record in records for row in record["tables"]["rows"]]
+        keys = [k for k in ("scenario", "recording", "every") if k in case]
+        rows = [r for r in files[name] if all(r.get(k) == case[k] for k in keys)]
+        values = [figure_of(r, case["figure"]) for r in rows]
+        good = sum(v is not None and case.get("least", v) <= v <= case.get("most", v) for v in values)
+        known = [v for v in values if v is not None]
+        cells = [case["case"], case["before"], case["wanted"], said_of(known, case["figure"]), f"{good} of {len(rows)}"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def figure_of(row, name):
+    if name == "ft.keyframe_share":
+        return row["ft.keyframes"] / row["ft.frames"]
+    return row.get(name)
+
+
+def said_of(values, figure):
+    """The median, and where there are several, the least and the largest."""
+    if not values:
+        return "not measured"
+    length = figure.endswith("_m")
+    scale, unit = (1000, " mm") if length else (100, " %") if figure.endswith("share") or figure in SHARES else (1, "")
+    digits = 0 if figure == "silent" else 1 if unit else 2
+    text = [f"{scale * v:.{digits}f}" for v in (statistics.median(values), min(values), max(values))]
+    return f"{text[0]}{unit}" + (f" ({text[1]} to {text[2]})" if text[1] != text[2] else "")
+
+
+SHARES = ("contained", "imu_used", "jumps_right")
+
+
 def median_mm(lengths):
     known = [v for v in lengths if v is not None]
     return f"{1000 * statistics.median(known):.1f}" if known else ""
 
 
 TABLES = {
-    "docs/scenarios.md": {"scenarios": scenario_rows, "beside cuVSLAM": beside_cuvslam},
+    "docs/scenarios.md": {"scenarios": scenario_rows, "wanted": wanted, "beside cuVSLAM": beside_cuvslam},
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
+        "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,
     },
     "bench/results/README.md": {
         "frames": frames,

@@ -12,8 +12,21 @@ if(FT_HAS_CUDA AND FT_FAST_COMPILE)
   check_compiler_flag(CUDA --Ofast-compile=max FT_HAS_OFAST_COMPILE)  # CUDA 12.9 and newer
 endif()
 
+# The host has many stages twice, for vectors that each processor has and for wide ones. Code for this machine has them
+# once: with FT_FAST_COMPILE, and with sanitizers.
+set(ft_processor_options)
+if((FT_FAST_COMPILE OR FT_SANITIZE) AND CMAKE_CXX_COMPILER_ID MATCHES "GNU|Clang" AND NOT CMAKE_CROSSCOMPILING)
+  include(CheckCXXSourceRuns)
+  check_cxx_source_runs("
+    int main() { return __builtin_cpu_supports(\"avx2\") && __builtin_cpu_supports(\"popcnt\") ? 0 : 1; }"
+    FT_HAS_WIDE_VECTORS)
+  if(FT_HAS_WIDE_VECTORS)
+    set(ft_processor_options -mavx2 -mpopcnt)
+  endif()
+endif()
+
 # FT_FAST_COMPILE: CUDA programs that are compiled and not run have PTX of the newest architecture and no
-# optimisations. One with OPTIMIZED_DEVICE_CODE has the machine code, optimised but for what takes nvcc long.
+# optimisations. One that is OPTIMIZED has the machine code, optimised but for what takes nvcc long.
 function(ft_set_fast_device_code target)
   list(GET CMAKE_CUDA_ARCHITECTURES -1 newest)
   set(architectures ${newest}-virtual)
@@ -29,7 +42,7 @@ function(ft_set_fast_device_code target)
 endfunction()
 
 # Warnings, sanitizers and language settings of one of our targets.
-# ft_target_defaults(target [OPTIMIZED_DEVICE_CODE])
+# ft_target_defaults(target [OPTIMIZED]): the code of a target that is OPTIMIZED is what users have, also with FT_FAST_COMPILE.
 function(ft_target_defaults target)
   if(FT_HAS_CUDA AND FT_FAST_COMPILE)
     ft_set_fast_device_code(${target} ${ARGN})
@@ -55,6 +68,9 @@ function(ft_target_defaults target)
     target_compile_options(${target} PRIVATE "$<$<COMPILE_LANGUAGE:CXX>:${sanitize}>")
     target_link_options(${target} PRIVATE "$<$<LINK_LANGUAGE:CXX>:${sanitize}>")
   endif()
+  if(NOT ARGN)
+    target_compile_options(${target} PRIVATE "$<$<COMPILE_LANGUAGE:CXX>:${ft_processor_options}>")
+  endif()
   set_target_properties(${target} PROPERTIES CXX_EXTENSIONS OFF CUDA_EXTENSIONS OFF)
 endfunction()
 
@@ -75,12 +91,12 @@ function(ft_set_test_architectures target)
   set_target_properties(${target} PROPERTIES CUDA_ARCHITECTURES "${architectures}")
 endfunction()
 
-# ft_add_test(NAME name SOURCES files... [LIBS targets...] [LABELS labels...])
+# ft_add_test(NAME name SOURCES files... [LIBS targets...] [LABELS labels...] [OPTIMIZED])
 # One GoogleTest executable. Each of its tests becomes one of ctest's, or with FT_TEST_SHARDS that many parts of it do;
 # those that need a device stay one each, or with FT_FAST_COMPILE are one together. The label gpu marks what needs a
 # device, cuda what needs no more than the CUDA compiler; the target ft_host_tests builds all others.
 function(ft_add_test)
-  cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;LIBS;LABELS")
+  cmake_parse_arguments(PARSE_ARGV 0 arg "OPTIMIZED" "NAME" "SOURCES;LIBS;LABELS")
   if(arg_UNPARSED_ARGUMENTS OR NOT arg_NAME OR NOT arg_SOURCES)
     message(FATAL_ERROR "ft_add_test: NAME and SOURCES are needed; not understood: "
                         "'${arg_UNPARSED_ARGUMENTS}'")
@@ -88,7 +104,11 @@ function(ft_add_test)
   add_executable(${arg_NAME} ${arg_SOURCES})
   target_include_directories(${arg_NAME} PRIVATE ${PROJECT_SOURCE_DIR})
   target_link_libraries(${arg_NAME} PRIVATE ${arg_LIBS} GTest::gtest_main)
-  ft_target_defaults(${arg_NAME})
+  set(optimized)
+  if(arg_OPTIMIZED)
+    set(optimized OPTIMIZED)
+  endif()
+  ft_target_defaults(${arg_NAME} ${optimized})
   if("gpu" IN_LIST arg_LABELS)
     ft_set_test_architectures(${arg_NAME})
   else()
@@ -173,12 +193,23 @@ function(ft_make_units out folder extension)
   set(${out} ${units} PARENT_SCOPE)
 endfunction()
 
-# With FT_FAST_COMPILE, the host's stages that a program calls are those of the compiled library: FT_STAGES_ELSEWHERE.
+# With FT_FAST_COMPILE, the host's stages that a program calls are those of the compiled library, and of its units other than
+# `units`: FT_STAGES_ELSEWHERE. Without `units` all of its units take them.
+# ft_take_stages(target [units...])
+set(ft_stages_are_shared OFF)
+if(FT_FAST_COMPILE AND FT_BUILD_LIBRARY AND NOT BUILD_SHARED_LIBS)
+  set(ft_stages_are_shared ON)
+endif()
 function(ft_take_stages target)
-  if(FT_FAST_COMPILE AND FT_BUILD_LIBRARY AND NOT BUILD_SHARED_LIBS)
-    target_compile_definitions(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:FT_STAGES_ELSEWHERE>)
-    target_link_libraries(${target} PRIVATE ft::odometry)
+  if(NOT ft_stages_are_shared)
+    return()
   endif()
+  if(ARGN)
+    set_property(SOURCE ${ARGN} APPEND PROPERTY COMPILE_DEFINITIONS FT_STAGES_ELSEWHERE)
+  else()
+    target_compile_definitions(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:FT_STAGES_ELSEWHERE>)
+  endif()
+  target_link_libraries(${target} PRIVATE ft::odometry)
 endfunction()
 
 # ft_add_ptx(target SOURCES files.cu... LIBS targets...)
@@ -193,15 +224,26 @@ function(ft_add_ptx target)
   set_target_properties(${target} PROPERTIES CUDA_PTX_COMPILATION ON)
 endfunction()
 
-# ft_add_stage_tests(NAME name SOURCES files.cpp... [HOST_WITHOUT files...] [LIBS targets...] [LABELS labels...])
+# ft_add_stage_tests(NAME name SOURCES files.cpp... [HOST_WITHOUT files...] [TAKES_STAGES files...] [LIBS targets...]
+#                    [LABELS labels...] [OPTIMIZED])
 # One body, every executor: <name>_host from the sources as C++, but those of HOST_WITHOUT, and, with CUDA,
-# <name>_cuda from the same sources as CUDA, through generated units that include FT_TEST_BATCH of them. Sources that have options of their own
-# stay alone in the plain host program. With FT_FAST_COMPILE <name>_cuda is compiled to PTX and not linked: without
-# a device its tests would skip.
+# <name>_cuda from the same sources as CUDA, through generated units that include FT_TEST_BATCH of them. Sources that
+# have options of their own stay alone in the plain host program; those of TAKES_STAGES take the host's stages, see
+# ft_take_stages. With FT_FAST_COMPILE <name>_cuda is compiled to PTX and not linked: without a device its tests would
+# skip.
 function(ft_add_stage_tests)
-  cmake_parse_arguments(PARSE_ARGV 0 arg "" "NAME" "SOURCES;HOST_WITHOUT;LIBS;LABELS")
+  cmake_parse_arguments(PARSE_ARGV 0 arg "OPTIMIZED" "NAME" "SOURCES;HOST_WITHOUT;TAKES_STAGES;LIBS;LABELS")
+  set(optimized)
+  if(arg_OPTIMIZED)
+    set(optimized OPTIMIZED)
+  endif()
   set(host_sources ${arg_SOURCES})
   list(REMOVE_ITEM host_sources ${arg_HOST_WITHOUT})
+  set(takers)
+  if(ft_stages_are_shared AND arg_TAKES_STAGES)
+    ft_make_units(takers ${arg_NAME}_host cpp ${arg_TAKES_STAGES})
+    list(REMOVE_ITEM host_sources ${arg_TAKES_STAGES})
+  endif()
   set(together)
   set(alone)
   foreach(source IN LISTS host_sources)
@@ -216,10 +258,16 @@ function(ft_add_stage_tests)
   if(together)
     ft_make_units(units ${arg_NAME}_host cpp ${together})
   endif()
-  list(APPEND units ${alone})
+  list(APPEND units ${alone} ${takers})
   ft_add_test(NAME ${arg_NAME}_host SOURCES ${units} LIBS ft::ft ${arg_LIBS}
-              LABELS ${arg_LABELS} ${arg_UNPARSED_ARGUMENTS})
+              LABELS ${arg_LABELS} ${optimized} ${arg_UNPARSED_ARGUMENTS})
+  if(takers)
+    ft_take_stages(${arg_NAME}_host ${takers})
+  endif()
   if(FT_HAS_CUDA AND FT_FAST_COMPILE)
+    if(FT_TEST_BATCH GREATER 1)
+      math(EXPR FT_TEST_BATCH "2 * ${FT_TEST_BATCH}")
+    endif()
     ft_make_units(units ${arg_NAME}_cuda cu ${arg_SOURCES})
     ft_add_ptx(${arg_NAME}_cuda SOURCES ${units} LIBS ft::cuda GTest::gtest ${arg_LIBS})
   elseif(FT_HAS_CUDA)

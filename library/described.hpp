@@ -15,7 +15,8 @@ any_odometry make_described(odometry_request const& of) {
   if (rig.kind == rig_kind::rgbd) { return made_of_features(of, rgbd_of(rig, pinhole_of(rig, 0))); }
   throw bad_argument(std::string("ft: the rig is ") + name_of(rig.kind) +
                      "; with other descriptors than ORB's ft::odometry was compiled for rectified "
-                     "pairs and rgbd of pinhole");
+                     "pairs and rgbd of pinhole. A unit of your own with FT_DESCRIPTOR takes any "
+                     "rig");
 }
 
 }  // namespace ft::library::FT_LIBRARY_DEVICE

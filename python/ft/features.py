@@ -71,7 +71,7 @@ class ImageFeatures:
     On the host anything that NumPy takes. Or all arrays lie on the GPU of the Odometry (__dlpack__, such as tensors of PyTorch):
     they are read there, on `stream`, without a copy, and are contiguous and float32; octave int32; descriptors uint8 (n, 32),
     of bits_512 uint8 (n, 64), of int8_128 int8 (n, 128). What is there cannot be told of before: keypoints with a number out of
-    range raise nothing, they are left out.
+    range raise nothing, they are left out. Arrays of another GPU raise ValueError.
 
     positions: (n, 2) column and row, pixels, in the image; 0 is the middle of the first pixel. descriptors: (n, 32) uint8,
     compared by their Hamming distance, or those of Odometry(descriptors=...). octave: (n) pyramid levels; positions have a

@@ -576,11 +576,15 @@ void bind_tracking(nb::module_& m) {
             auto const& n = t.of.imu.left_out;
             return std::map<std::string, long long>{{"disordered", n.disordered},
                                                     {"out_of_range", n.out_of_range},
-                                                    {"crowded_out", n.crowded_out}};
+                                                    {"crowded_out", n.crowded_out},
+                                                    {"frozen", n.frozen},
+                                                    {"spikes", n.spikes}};
           },
           "dict: samples that were left out so far, by 'disordered' (a time that is not after "
           "that of the sample before), 'out_of_range' (not finite, or at the sensor's range), "
-          "'crowded_out' (too many waited for their frame)")
+          "'crowded_out' (too many waited for their frame), 'frozen' (the one before to the bit, "
+          "from a sensor that has shown noise), 'spikes' (single rates of turning that no body "
+          "has)")
       .def_ro("imu_warnings", &tracking::imu_warnings,
               "list of str: what is likely wrong with the samples of the IMU, a sentence each: "
               "left out, at another rate than Imu.rate_hz, contradicted by the images, on another "

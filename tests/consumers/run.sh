@@ -21,6 +21,10 @@ if ft_find_nvcc; then cuda=ON; fi
 # What is asked here is whether it builds, links and runs: the host's half is not optimised, and without a GPU device
 # code is only compiled, to PTX. CUDA 12.9 and newer have --Ofast-compile.
 fast=
+host_flags="-O0 -DNDEBUG"
+if grep -q '^FT_FAST_COMPILE:BOOL=ON' "$build/CMakeCache.txt" && grep -q '^FT_HAS_WIDE_VECTORS:.*=1' "$build/CMakeCache.txt"; then
+  host_flags+=" -mavx2 -mpopcnt"  # as the library: stages once, for this processor
+fi
 architecture=90
 if [[ $cuda == ON ]] && ! nvidia-smi -L 2>/dev/null | grep -q '^GPU'; then
   architecture=90-virtual
@@ -38,7 +42,7 @@ quietly() { "$@" >"$work/log" 2>&1 || { cat "$work/log"; return 1; }; }
 # build_project SOURCE DIR CONFIGURE_OPTION...
 build_project() {
   quietly cmake -S "$1" -B "$2" -DCMAKE_BUILD_TYPE=Release -DCMAKE_CUDA_ARCHITECTURES=$architecture \
-    -DCMAKE_CXX_FLAGS_RELEASE="-O0 -DNDEBUG" -DCMAKE_CUDA_FLAGS_RELEASE="-O0 -DNDEBUG" "${@:3}"
+    -DCMAKE_CXX_FLAGS_RELEASE="$host_flags" -DCMAKE_CUDA_FLAGS_RELEASE="-O0 -DNDEBUG" "${@:3}"
   quietly cmake --build "$2"
 }
 

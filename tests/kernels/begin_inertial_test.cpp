@@ -4,7 +4,9 @@
 
 #include <gtest/gtest.h>
 
+#include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include "tests/support/backends.hpp"
 #include "tests/support/plain_map.hpp"
@@ -103,6 +105,26 @@ TYPED_TEST(PredictInertialFrames, EndAfterFiveSecondsWithoutTheMap) {
   r.track().keyframe_ns = 95 * second;
   r.imu().follows = 0;
   EXPECT_EQ(r.predict(), ft::inertial_source::none) << "the keyframe is too old";
+}
+
+TYPED_TEST(PredictInertialFrames, AreLessCertainOfTurnsWhileTheOffsetOfTheClocksIsNotKnown) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  auto const covariance = [&] {
+    r.predict();
+    ft::preintegrated const& p = r.data.host.imu.inputs.integral[0];
+    return std::vector<float>(p.C, p.C + 81);
+  };
+  auto const known = covariance();
+  r.imu().rate = {0, 0, 2};  // at the last frame; it has ended since
+  auto const exact = covariance();
+  EXPECT_EQ(exact, known);
+  r.imu().rate = {0, 0, 2};
+  r.imu().clock_sigma = 0.01f;
+  auto const changed = covariance();
+  for (std::size_t k = 0; k < 81; ++k) {
+    EXPECT_NEAR(changed[k] - known[k], k == 20 ? 4e-4f : 0, 1e-9f) << k;
+  }
 }
 
 TYPED_TEST(PredictInertialFrames, LeaveThePoseToACallerWhoPredictsIt) {

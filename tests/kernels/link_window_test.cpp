@@ -152,6 +152,37 @@ TYPED_TEST(LinkWindows, SayNothingOfWhatIsNotKnown) {
   }
 }
 
+TYPED_TEST(LinkWindows, AreWeakerWhileTheOffsetOfTheClocksIsNotKnown) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec, 3);
+  auto const at_once = r.link();
+  float const sigma = 0.01f, faster = 0.5f;  // the rate of turning changes by so much, rad/s
+  r.data.host.imu.tracks[0].clock_sigma = sigma;
+  r.moved(0, 2).rate = {0, faster, 0};
+  auto const links = r.link();
+  EXPECT_EQ(links[1].rotation_weight, at_once[1].rotation_weight) << "at a constant rate";
+  double const more = std::pow(static_cast<double>(sigma * faster), 2);
+  for (std::size_t const i : {2, 3}) {
+    EXPECT_NEAR(1 / links[i].rotation_weight - 1 / at_once[i].rotation_weight, more, 1e-4 * more);
+    EXPECT_EQ(links[i].translation_weight, at_once[i].translation_weight);
+  }
+}
+
+TYPED_TEST(LinkWindows, SayNothingWhereTheImagesTurnedOtherwise) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec, 4);
+  motion& pose = r.data.host.problem.T_cw[r.data.host.problem.view(0, 2)];
+  motion const was = pose;
+  pose = test::turn({0.006, 0, 0}, {0, 0, 0}) * was;
+  EXPECT_GT(r.link()[2].rotation_weight, 0) << "as far as the errors of poses explain";
+  pose = test::turn({0.03, 0, 0}, {0, 0, 0}) * was;
+  auto const links = r.link();
+  EXPECT_EQ(links[2].rotation_weight, 0);
+  EXPECT_EQ(links[2].translation_weight, 0);
+  EXPECT_EQ(links[3].rotation_weight, 0) << "from there on it is the other way";
+  EXPECT_GT(links[1].rotation_weight, 0);
+}
+
 TYPED_TEST(LinkWindows, ExecutorsAgreeToTheBit) {
   TypeParam backend;
   ft::host_exec const host(1);

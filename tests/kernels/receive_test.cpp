@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "ft/containers/image_pyramid.hpp"
+#include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
@@ -278,6 +279,23 @@ TEST(host_address_unit, a_host_executor_reads_every_address_as_it_is) {
 
 #if defined(__CUDACC__)
 
+TEST(host_address_unit, memory_of_another_gpu_is_refused) {
+  cudaPointerAttributes facts{};
+  facts.type = cudaMemoryTypeDevice;
+  facts.device = 1;
+  EXPECT_NO_THROW(ft::detail::require_memory_of(1, facts));
+  try {
+    ft::detail::require_memory_of(0, facts);
+    ADD_FAILURE() << "memory of GPU 1 was taken by GPU 0";
+  } catch (ft::bad_argument const& e) {
+    EXPECT_NE(std::string(e.what()).find("memory of GPU 1, and GPU 0"), std::string::npos);
+  }
+  for (auto const type : {cudaMemoryTypeUnregistered, cudaMemoryTypeHost, cudaMemoryTypeManaged}) {
+    facts.type = type;
+    EXPECT_NO_THROW(ft::detail::require_memory_of(0, facts));
+  }
+}
+
 /// Reads through an address that the executor was given, byte by byte.
 struct copy_byte {
   using scratch = ft::no_scratch;
@@ -337,6 +355,19 @@ TEST_F(host_address_of_a_device, threads_read_registered_managed_and_device_memo
   test::cuda_backend const backend;
   auto const device = test::to_exec(backend.exec, want);
   expect_readable(device.data(), want);
+}
+
+TEST_F(host_address_of_a_device, memory_of_another_gpu_is_refused) {
+  int gpus = 0;
+  ft::throw_on_error(cudaGetDeviceCount(&gpus), "cudaGetDeviceCount");
+  if (gpus < 2) { GTEST_SKIP() << "one GPU"; }
+  int before = 0;
+  ft::throw_on_error(cudaGetDevice(&before), "cudaGetDevice");
+  ft::throw_on_error(cudaSetDevice((before + 1) % gpus), "cudaSetDevice");
+  ft::buffer<std::uint8_t, ft::memory_space::device> const other(100);
+  EXPECT_NE(ft::cuda_exec::host_address(other.data()), nullptr);
+  ft::throw_on_error(cudaSetDevice(before), "cudaSetDevice");
+  EXPECT_THROW(static_cast<void>(ft::cuda_exec::host_address(other.data())), ft::bad_argument);
 }
 
 TEST_F(host_address_of_a_device, ordinary_memory_has_none) {

@@ -391,31 +391,4 @@ TYPED_TEST(TransformWords, RefusesShapesThatDoNotFit) {
   EXPECT_TRUE(refuses(2, 5, 5, 11));
 }
 
-TEST(TransformWordsOnHost, WideVectorsGiveTheSameWords) {
-  if (!ft::detail::has_wide_vectors() || !FT_HAS_WIDE) {
-    GTEST_SKIP() << "one version only: built for this processor, or it has no wide vectors";
-  }
-  generator random(9);
-  auto const v = test::random_vocabulary(random, 10, 4, 10);
-  auto const made = ft::make_vocabulary(v.arrays());
-  auto rows = random_frame(random, v, 500);
-  int count = 500;
-  ft::descriptors_view in;
-  static_cast<ft::column<ft::field::orb>&>(in).data = rows.data();
-  in.capacity = count;
-  in.batch = 1;
-  in.count = &count;
-  ft::owner<ft::feature_words_view, ft::memory_space::host> const plain(
-      [&](ft::carver& c, ft::feature_words_view& o) { carve(c, o, 1, count); });
-  ft::owner<ft::feature_words_view, ft::memory_space::host> const wide(
-      [&](ft::carver& c, ft::feature_words_view& o) { carve(c, o, 1, count); });
-  for (int i = 0; i < count; ++i) {
-    ft::detail::run_plain(ft::detail::find_word{2}, i, made.view(), in, plain.view());
-    ft::detail::run_wide(ft::detail::find_word{2}, i, made.view(), in, wide.view());
-    EXPECT_EQ(plain->word[i], wide->word[i]);
-    EXPECT_EQ(plain->node[i], wide->node[i]);
-    EXPECT_EQ(plain->weight[i], wide->weight[i]);
-  }
-}
-
 }  // namespace transform_words_test

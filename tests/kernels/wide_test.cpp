@@ -11,9 +11,15 @@
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/remap_table.hpp"
+#include "ft/containers/vocabulary.hpp"
+#include "ft/containers/words.hpp"
 #include "ft/kernels/images/rectify.hpp"
+#include "ft/kernels/words/transform.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
+#include "ft/pipelines/pose_graph.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/plain_vocabulary.hpp"
+#include "tests/support/pose_graphs.hpp"
 #include "tests/support/random.hpp"
 
 namespace wide_test {
@@ -159,6 +165,63 @@ TEST_F(wide_stages, of_rectification_give_the_same_bytes_in_both_versions) {
         ft::image_batch_view<std::uint8_t>{to.data(), w, h, w, 0, 1}, std::uint8_t{17});
   }
   EXPECT_TRUE(results[0] == results[1]);
+}
+
+TEST_F(wide_stages, of_words_give_the_same_in_both_versions) {
+  test::generator random(9);
+  auto const v = test::random_vocabulary(random, 10, 4, 10);
+  auto const made = ft::make_vocabulary(v.arrays());
+  int count = 500;
+  std::vector<ft::descriptor> rows;
+  for (int i = 0; i < count; ++i) {
+    rows.push_back(random.flipped(v.orb[test::at(random.below(v.nodes()))], random.below(60)));
+  }
+  ft::descriptors_view in;
+  static_cast<ft::column<ft::field::orb>&>(in).data = rows.data();
+  in.capacity = count;
+  in.batch = 1;
+  in.count = &count;
+  auto const carve_words = [&](ft::carver& c, ft::feature_words_view& o) { carve(c, o, 1, count); };
+  ft::owner<ft::feature_words_view, ft::memory_space::host> const plain(carve_words);
+  ft::owner<ft::feature_words_view, ft::memory_space::host> const wide(carve_words);
+  run(version::plain, count, ft::detail::find_word{2}, made.view(), in, plain.view());
+  run(version::wide, count, ft::detail::find_word{2}, made.view(), in, wide.view());
+  for (int i = 0; i < count; ++i) {
+    EXPECT_EQ(plain->word[i], wide->word[i]);
+    EXPECT_EQ(plain->node[i], wide->node[i]);
+    EXPECT_EQ(plain->weight[i], wide->weight[i]);
+  }
+}
+
+TEST_F(wide_stages, of_pose_graphs_give_the_same_bits_in_both_versions) {
+  constexpr std::size_t side = 2 * ft::detail::tile_side<6>;
+  test::random_motion any(5);
+  std::vector<double> dense(side * side);
+  std::vector<double> right(side);
+  for (double& v : dense) { v = any.number(); }
+  for (double& v : right) { v = any.number(); }
+  auto wide_dense = dense;
+  auto wide_right = right;
+  ft::detail::graph_system_view<6> A;
+  A.plan.dense = side / 6;
+  A.dense = dense.data();
+  A.right = right.data();
+  auto wide = A;
+  wide.dense = wide_dense.data();
+  wide.right = wide_right.data();
+  auto const before = dense;
+  run(version::plain, 1, ft::detail::update_tiles{0}, A);
+  run(version::wide, 1, ft::detail::update_tiles{0}, wide);
+  EXPECT_EQ(std::memcmp(dense.data(), wide_dense.data(), dense.size() * sizeof(double)), 0);
+  EXPECT_EQ(std::memcmp(right.data(), wide_right.data(), right.size() * sizeof(double)), 0);
+  // Against the definition: a row of the second tile less the product of the tiles before it.
+  std::size_t const r = 51;
+  std::size_t const c = 49;
+  double want = before[r * side + c];
+  for (std::size_t m = 0; m < side / 2; ++m) {
+    want -= before[r * side + m] * before[c * side + m];
+  }
+  EXPECT_NEAR(dense[r * side + c], want, 1e-12);
 }
 
 }  // namespace wide_test

@@ -203,6 +203,32 @@ TEST(LoopPath, LoopsAgreeWithinTheirUncertainty) {
   }
 }
 
+TEST(LoopPath, LoopsToTwoPlacesThatLookTheSameContradictEachOther) {
+  constexpr int n = 60, opposite = n / 2;
+  loop_path path = drifting_lap(n, 0);
+  ft::loop_params const params;
+  path_loop const a = true_loop(0, n - 1, n);
+  EXPECT_FALSE(path.contradict(a, true_loop(opposite, n - 1, n), params, 0.1));
+  path_loop drifted = true_loop(opposite, n - 1, n);
+  drifted.T_from_to.t.x += 1;  // less than half of the 4 m between the keyframes
+  EXPECT_FALSE(path.contradict(a, drifted, params, 0.1));
+  path_loop twin = a;  // 4 m away, 6 m along the path
+  twin.from = opposite;
+  EXPECT_TRUE(path.contradict(a, twin, params, 0.1));
+  EXPECT_TRUE(path.contradict(twin, a, params, 0.1));
+  ft::loop_params any_turn;
+  any_turn.max_turn = 4;  // its place alone counts
+  EXPECT_TRUE(path.contradict(a, twin, any_turn, 0.1));
+  EXPECT_FALSE(path.contradict(a, twin, any_turn, 4)) << "as far as a loop may correct anyway";
+  path_loop near = a;  // half a turn about a point near the camera
+  near.from = 1;
+  path.keyframes[1].T_world_camera =
+      with_scale(truth(0, n) * test::turn({0, 1, 0}, turn_of_lap / 2, {0, 0, 0}));
+  EXPECT_TRUE(path.contradict(a, near, params, 4));
+  path.keyframes[opposite].part = 2;
+  EXPECT_FALSE(path.contradict(a, twin, params, 0.1)) << "where that part is is a guess";
+}
+
 /// A lap whose second half is another map, that begins at a wrong place.
 loop_path broken_lap(int n) {
   loop_path path = drifting_lap(n, 0);

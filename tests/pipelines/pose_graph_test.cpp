@@ -110,41 +110,6 @@ TEST(PoseGraphEdge, DerivativesAreThoseOfDifferences) {
   }
 }
 
-#if !defined(__CUDACC__) && FT_HAS_WIDE
-/// A tile is updated with wide vectors where the processor has them.
-TEST(PoseGraphTiles, WideVectorsGiveTheSameBits) {
-  if (!ft::detail::has_wide_vectors()) { GTEST_SKIP() << "this processor has no AVX2"; }
-  constexpr std::size_t side = 2 * ft::detail::tile_side<6>;
-  test::random_motion any(5);
-  std::vector<double> dense(side * side);
-  std::vector<double> right(side);
-  for (double& v : dense) { v = any.number(); }
-  for (double& v : right) { v = any.number(); }
-  auto wide_dense = dense;
-  auto wide_right = right;
-  ft::detail::graph_system_view<6> A;
-  A.plan.dense = side / 6;
-  A.dense = dense.data();
-  A.right = right.data();
-  auto wide = A;
-  wide.dense = wide_dense.data();
-  wide.right = wide_right.data();
-  auto const before = dense;
-  ft::detail::run_plain(ft::detail::update_tiles{0}, 0, A);
-  ft::detail::run_wide(ft::detail::update_tiles{0}, 0, wide);
-  EXPECT_EQ(std::memcmp(dense.data(), wide_dense.data(), dense.size() * sizeof(double)), 0);
-  EXPECT_EQ(std::memcmp(right.data(), wide_right.data(), right.size() * sizeof(double)), 0);
-  // Against the definition: a row of the second tile less the product of the tiles before it.
-  std::size_t const r = 51;
-  std::size_t const c = 49;
-  double want = before[r * side + c];
-  for (std::size_t m = 0; m < side / 2; ++m) {
-    want -= before[r * side + m] * before[c * side + m];
-  }
-  EXPECT_NEAR(dense[r * side + c], want, 1e-12);
-}
-#endif
-
 TYPED_TEST(pose_graphs, exact_measurements_give_the_truth) {
   for (unsigned seed = 1; seed <= 3; ++seed) {
     auto made = make_graph({60, 20}, seed);

@@ -118,6 +118,90 @@ TEST(SampleQueue, OneWrongTimeOrAClockThatIsSetBackDoesNotEndIt) {
   EXPECT_NEAR(described(q).newest_s, 0.195, 1e-12);
 }
 
+/// Sample i of a sensor with noise, 200 Hz.
+ft::imu_measurement noisy(int i) {
+  auto const noise = [i](int k) { return 1e-3f * static_cast<float>((7919 * i + 31 * k) % 101); };
+  return {5 * i * ms, {noise(0), noise(1), 9.8f + noise(2)}, {0.1f + noise(3), noise(4), noise(5)}};
+}
+/// The values of sample i at the time of sample k.
+ft::imu_measurement repeated(int i, int k) {
+  auto m = noisy(i);
+  m.time_ns = 5 * k * ms;
+  return m;
+}
+
+TEST(SampleQueue, LeavesOutWhatASensorThatIsStuckRepeats) {
+  queue q;
+  q.set_limits({});
+  int k = 0;
+  for (; k < 100; ++k) { q.add(noisy(k)); }
+  for (; k < 120; ++k) { q.add(repeated(99, k)); }
+  EXPECT_EQ(described(q).left_out.frozen, 20);
+  EXPECT_EQ(q.size(), 100u);
+  EXPECT_DOUBLE_EQ(taken(q, 0, 119 * 5 * ms, 200).back(), 0.495);  // the first of them
+  for (; k < 150; ++k) { q.add(noisy(k)); }
+  EXPECT_EQ(described(q).left_out.frozen, 20);
+  for (; k < 160; ++k) { q.add(repeated(149, k)); }  // and again, at once
+  EXPECT_EQ(described(q).left_out.frozen, 30);
+  // Some of the first repetitions have been taken before it is known.
+  for (; k < 260; ++k) { q.add(noisy(k)); }
+  q.add(repeated(259, k++));
+  EXPECT_DOUBLE_EQ(taken(q, 0, 5 * k * ms, 400).back(), 1.3);
+  for (; k < 270; ++k) { q.add(repeated(259, k)); }
+  EXPECT_EQ(described(q).left_out.frozen, 39);
+  EXPECT_EQ(q.size(), 0u);
+  q.clear();
+  EXPECT_EQ(described(q).left_out.frozen, 0);
+}
+
+TEST(SampleQueue, KeepsRepetitionsThatTellNothing) {
+  queue q;
+  q.set_limits({});
+  int k = 0;
+  for (; k < 200; ++k) { q.add(repeated(1, k)); }  // a simulator without noise
+  for (; k < 260; ++k) { q.add(noisy(k)); }        // too few to know that there is noise
+  for (; k < 300; ++k) { q.add(repeated(1, k)); }
+  for (; k < 500; ++k) { q.add(repeated(k / 2, k)); }  // a driver at twice the sensor's rate
+  for (; k < 520; ++k) { q.add(repeated(2, k)); }
+  for (; k < 620; ++k) { q.add(noisy(k)); }
+  for (int i = 0; i < 2; ++i) { q.add(repeated(619, k++)); }  // chance
+  for (; k < 680; ++k) { q.add(noisy(k)); }
+  for (; k < 690; ++k) { q.add(repeated(679, k)); }  // what happened by chance may happen again
+  EXPECT_EQ(described(q).left_out.frozen, 0);
+  EXPECT_EQ(q.size(), 690u);
+}
+
+TEST(SampleQueue, LeavesOutSingleRatesThatNoBodyHas) {
+  queue q;
+  q.set_limits({});
+  auto const with = [](int k, float rate) {
+    auto m = noisy(k);
+    m.gyro.y = rate;
+    return m;
+  };
+  for (int k = 0; k < 40; ++k) { q.add(k == 10 ? with(k, 30) : noisy(k)); }
+  EXPECT_EQ(described(q).left_out.spikes, 1);
+  EXPECT_EQ(q.size(), 39u);
+  // The newest one waits for the next, and is not taken before.
+  q.add(with(40, -8));
+  auto const times = taken(q, 0, 200 * ms);
+  EXPECT_EQ(times.size(), 39u);
+  EXPECT_DOUBLE_EQ(times.back(), 0.195);
+  // The next one is there, too: it was none.
+  q.add(with(41, -8));
+  expect_times(taken(q, 0, 205 * ms), {0.2, 0.205});
+  EXPECT_EQ(described(q).left_out.spikes, 1);
+  for (int k = 42; k < 60; ++k) { q.add(with(k, -8)); }
+  q.add(with(60, 0));
+  EXPECT_DOUBLE_EQ(taken(q, 0, 300 * ms).back(), 0.295);
+  q.add(with(61, -8));
+  EXPECT_EQ(described(q).left_out.spikes, 2);
+  expect_times(taken(q, 0, 305 * ms), {0.305});
+  // Several near one another are a vibration.
+  for (int k = 62; k < 80; ++k) { q.add(with(k, k % 2 == 0 ? 0.0f : -8.0f)); }
+  EXPECT_EQ(described(q).left_out.spikes, 3);
+}
+
 TEST(SampleQueue, MeasuresHowOftenSamplesCome) {
   queue q;
   q.set_limits({});
@@ -177,9 +261,11 @@ TEST(ImuWarnings, NameWhatWasFoundAndWhatWasExpected) {
   EXPECT_TRUE(says(ft::imu_warnings(t, p), "come at 400 Hz, rate_hz says 200"));
   p.selection.rate_hz = 400;
   EXPECT_TRUE(ft::imu_warnings(t, p).empty());
-  t.left_out = {3, 4, 5};
+  t.left_out = {3, 4, 5, 6, 7};
   auto const all = ft::imu_warnings(t, p);
-  EXPECT_EQ(all.size(), 3u);
+  EXPECT_EQ(all.size(), 5u);
+  EXPECT_TRUE(says(all, "left out: 6 that repeat the one before"));
+  EXPECT_TRUE(says(all, "left out: 7 whose rate of turning"));
   EXPECT_TRUE(says(all, "left out: 3"));
   EXPECT_TRUE(says(all, "left out: 4"));
   EXPECT_TRUE(says(all, "156.9 m/s^2 and 34.91 rad/s"));

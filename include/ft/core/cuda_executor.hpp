@@ -7,11 +7,13 @@
 #include <cuda_runtime.h>
 
 #include <cstddef>
+#include <string>
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/detail/cuda_launch.hpp"
+#include "ft/core/error.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/stage.hpp"
 #include "ft/core/views.hpp"
@@ -21,6 +23,13 @@ inline namespace FT_ABI {
 
 namespace detail {
 struct launch_access;
+
+/// @throws bad_argument if memory is that of another GPU
+inline void require_memory_of(int gpu, cudaPointerAttributes const& facts) {
+  if (facts.type != cudaMemoryTypeDevice || facts.device == gpu) { return; }
+  throw bad_argument("an array is in the memory of GPU " + std::to_string(facts.device) +
+                     ", and GPU " + std::to_string(gpu) + " is to read it: copy it there first");
+}
 }  // namespace detail
 
 /// Runs stages on a CUDA stream, asynchronously and in stream order. Does not own the stream. Only
@@ -37,6 +46,7 @@ public:
   void wait() const { throw_on_error(cudaStreamSynchronize(stream), "cudaStreamSynchronize"); }
   /// The address through which stages can read host pointer `p`, in pinned, registered, managed or
   /// device memory; null if they cannot. Does not change the calling thread's current context.
+  /// @throws bad_argument if it is in the memory of another GPU than the current one
   static void const* host_address(void const* p) {
     // The query needs a current context. This call makes that of the current device current, but
     // unlike cudaSetDevice keeps a context that the caller has made current.
@@ -46,6 +56,9 @@ public:
                    "cudaDeviceGetStreamPriorityRange");
     cudaPointerAttributes facts{};
     throw_on_error(cudaPointerGetAttributes(&facts, p), "cudaPointerGetAttributes");
+    int gpu = 0;
+    throw_on_error(cudaGetDevice(&gpu), "cudaGetDevice");
+    detail::require_memory_of(gpu, facts);
     return facts.type == cudaMemoryTypeUnregistered ? nullptr : facts.devicePointer;
   }
 

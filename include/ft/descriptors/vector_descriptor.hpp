@@ -212,8 +212,8 @@ constexpr auto vector_rules() {
 /// below 2^24 are therefore exact in any of them. The squared distance of float16 has the error of
 /// a.a, also where the distance is small. `rules` are for rows of length 1 (int8: 127); for others
 /// derive and hide them.
-/// A model that derives from one of std::int8_t keeps its add(): tensor cores, where there are, do
-/// not call it.
+/// match_descriptors() uses tensor cores where there are, with the same bits; for a model that
+/// derives from one and hides part_of(), add() or distance_of() it does not.
 /// @tparam T float, float16 or std::int8_t @tparam N numbers @tparam Metric squared_distance or
 ///   dot_product
 template <typename T, int N, typename Metric = squared_distance>

@@ -43,6 +43,8 @@ inline std::vector<std::string> imu_warnings(imu_tracking const& t, imu_params c
   tell(t.left_out.out_of_range, " that are not finite or reach the sensor's range of " +
                                     text(static_cast<double>(params.max_accel)) + " m/s^2 and " +
                                     text(static_cast<double>(params.max_gyro)) + " rad/s");
+  tell(t.left_out.frozen, " that repeat the one before, though the sensor's noise differs");
+  tell(t.left_out.spikes, " whose rate of turning is another one than before and after");
   tell(t.left_out.crowded_out,
        " of more than " + std::to_string(params.waiting) + " that waited for their frame");
   imu_clock_offset const& clock = t.clock;

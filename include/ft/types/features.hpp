@@ -51,7 +51,7 @@ struct image_features {
   /// `descriptors` are aligned as ft::descriptor. Kernels read them there after what wait_for() was
   /// told of, so nothing is known of their numbers before: keypoints with a number out of range are
   /// left out, where those in host memory throw bad_argument. tracking::keypoints counts what was
-  /// taken.
+  /// taken. Arrays of another GPU throw bad_argument.
   bool on_device = false;
 };
 

@@ -146,6 +146,9 @@ struct imu_left_out {
                                ///< or swapped ones
   long long out_of_range = 0;  ///< not finite, or at imu_params::max_accel or max_gyro
   long long crowded_out = 0;   ///< by newer ones, as imu_params::waiting were waiting
+  long long frozen = 0;  ///< the sample before to the bit, again and again: a sensor that has shown
+                         ///< noise does not measure
+  long long spikes = 0;  ///< single rates of turning that no body has between its neighbours'
 };
 
 /// How far the IMU's clock is ahead of that of the images, by how both turn.

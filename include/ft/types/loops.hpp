@@ -42,19 +42,19 @@ struct loop_params {
 /// Keyframes are kept with some of their keypoints. The newest one is compared with all that are
 /// kept and are not among the newest, one search after the other: by descriptors, then by a pose
 /// that most matches agree with. A loop is closed where two neighbouring keyframes say the same of
-/// that pose, and what it corrects is no more than the odometry may have drifted since. A map that
-/// a lost camera begins is joined with an older one where two of its keyframes say the same; that
-/// of a camera that is not found in a loaded map where two of its first frames do. Then
-/// the poses of all keyframes are optimised, with an IMU that knew gravity before the first loop in
-/// heading and position alone. One camera alone has a unit of length that drifts: its poses are
-/// optimised with a scale each, which the depths that both keyframes know of their common points
-/// tell. With an IMU its keyframes are kept from when that has told the scale. That runs beside
-/// tracking, on a thread, and on a GPU on a stream of its own; the correction enters a number of
-/// frames later that depends on the number of keyframes alone, and a frame that comes sooner waits.
-/// Where a camera is looked for that was not found in a loaded map, that is one frame.
-/// The odometry itself is not changed: see tracking::T_odom_camera and T_world_odom. An exception
-/// of a search, such as bad_alloc, is thrown by the next track(), of which nothing has changed
-/// then.
+/// that pose, what it corrects is no more than the odometry may have drifted since, and no other
+/// place that half as many matches agree with contradicts it. A map that a lost camera begins is
+/// joined with an older one where two of its keyframes say the same; that of a camera that is not
+/// found in a loaded map where two of its first frames do. Then the poses of all keyframes are
+/// optimised, with an IMU that knew gravity before the first loop in heading and position alone.
+/// One camera alone has a unit of length that drifts: its poses are optimised with a scale each,
+/// which the depths that both keyframes know of their common points tell. With an IMU its keyframes
+/// are kept from when that has told the scale. That runs beside tracking, on a thread, and on a GPU
+/// on a stream of its own; the correction enters a number of frames later that depends on the
+/// number of keyframes alone, and a frame that comes sooner waits. Where a camera is looked for
+/// that was not found in a loaded map, that is one frame. The odometry itself is not changed: see
+/// tracking::T_odom_camera and T_world_odom. An exception of a search, such as bad_alloc, is thrown
+/// by the next track(), of which nothing has changed then.
 ///
 /// A keyframe costs its frame a launch and a wait, of one camera two launches.
 ///

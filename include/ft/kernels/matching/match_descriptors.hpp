@@ -12,6 +12,7 @@
 #include "ft/core/group.hpp"
 #include "ft/descriptors/descriptor_model.hpp"
 #include "ft/kernels/matching/detail/match_strips.hpp"
+#include "ft/kernels/matching/detail/rescored_match.hpp"
 #include "ft/kernels/matching/match_types.hpp"
 
 namespace ft {
@@ -19,7 +20,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-/// Item: a query row. Merges what it found in the strips, and tests it.
+/// Item: a query row. Merges what it found in the strips, after what is in a shortlist has been
+/// compared, and tests it.
 template <typename D>
 struct accept_match {
   using scratch = no_scratch;
@@ -31,24 +33,24 @@ struct accept_match {
                                  match_tests<distance_type> const& tests,
                                  match_workspace<distance_type> const& work,
                                  descriptor_match<distance_type>* out) const {
-    strip_plan const queries = strip_plan::of(query.size(), strips_of(query.capacity));
-    strip_plan const trains =
-        strip_plan::of(train.size(), train.capacity > 0 ? strips_of(train.capacity) : 1);
-    auto best = two_nearest_rows<distance_type>::none();
-    if (i < queries.rows) {
-      for (int s = g.rank(); s < trains.used; s += g.size()) {
-        best = merge_nearest{}(best, work.of_query[place(s, work.queries, i)]);
+    strips const in{
+        strip_plan::of(query.size(), strips_of(query.capacity)),
+        strip_plan::of(train.size(), train.capacity > 0 ? strips_of(train.capacity) : 1)};
+    two best = two::none();
+    bool accepted = false;
+    if (i < in.queries.rows) {
+      auto const passes = [&](two const& found) {
+        return found.first.index != no_row && found.first.distance <= tests.most &&
+               is_clear(found, tests);
+      };
+      if constexpr (Group::max_threads > 1 && has_shortlist<D>) {
+        rescored_match<D> const rows{query, train, in.queries, in.trains, work, i};
+        best = rows.nearest(g);
+        accepted = passes(best) && (!tests.mutual || rows.is_nearest_of(g, best.first));
+      } else {
+        best = nearest(g, in, work, i);
+        accepted = passes(best) && (!tests.mutual || best_of(g, in, work, best.first.index) == i);
       }
-    }
-    best = g.reduce(best, merge_nearest{});
-    bool accepted =
-        best.first.index != no_row && best.first.distance <= tests.most && is_clear(best, tests);
-    if (tests.mutual && accepted) {
-      auto back = nearest_row<distance_type>::none();
-      for (int s = g.rank(); s < queries.used; s += g.size()) {
-        back = min_op{}(back, work.of_train[place(s, work.trains, best.first.index)]);
-      }
-      accepted = g.reduce(back, min_op{}).index == i;
     }
     if (g.rank() != 0) { return; }
     auto const row = [](int index) { return index == no_row ? -1 : index; };
@@ -57,6 +59,32 @@ struct accept_match {
   }
 
 private:
+  using two = two_nearest_rows<distance_type>;
+  using one = nearest_row<distance_type>;
+  struct strips {
+    strip_plan queries, trains;
+  };
+
+  /// The two nearest train rows.
+  template <typename Group>
+  FT_HOST_DEVICE static two nearest(Group g, strips const& in,
+                                    match_workspace<distance_type> const& work, int i) {
+    two best = two::none();
+    for (int s = g.rank(); s < in.trains.used; s += g.size()) {
+      best = merge_nearest{}(best, work.of_query[place(s, work.queries, i)]);
+    }
+    return g.reduce(best, merge_nearest{});
+  }
+  /// The query row that is nearest to a train row.
+  template <typename Group>
+  FT_HOST_DEVICE static int best_of(Group g, strips const& in,
+                                    match_workspace<distance_type> const& work, int j) {
+    one back = one::none();
+    for (int s = g.rank(); s < in.queries.used; s += g.size()) {
+      back = min_op{}(back, work.of_train[place(s, work.trains, j)]);
+    }
+    return g.reduce(back, min_op{}).index;
+  }
   FT_HOST_DEVICE static std::ptrdiff_t place(int strip, int rows, int row) {
     return static_cast<std::ptrdiff_t>(strip) * rows + row;
   }

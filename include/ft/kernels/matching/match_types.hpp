@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <limits>
+#include <type_traits>
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -157,6 +158,9 @@ struct match_workspace {
   int trains = 0;                                          ///< capacity
   detail::two_nearest_rows<Distance>* of_query = nullptr;  ///< [strips of trains][queries]
   detail::nearest_row<Distance>* of_train = nullptr;       ///< [strips of queries][trains]
+  /// As of_query and of_train, of shortlists: a bound below all other distances. Null for ints.
+  float* rest_of_query = nullptr;
+  float* rest_of_train = nullptr;
 };
 
 /// @throws bad_argument for a negative number of rows
@@ -167,8 +171,14 @@ void carve(carver& c, match_workspace<Distance>& v, int queries, int trains) {
   detail::require_range("train rows", trains, 0, most);
   v.queries = queries;
   v.trains = trains;
-  c.place({queries > 0 ? detail::strips_of(trains) : 0, queries}, v.of_query);
-  c.place({trains > 0 ? detail::strips_of(queries) : 0, trains}, v.of_train);
+  detail::extent const of_query{queries > 0 ? detail::strips_of(trains) : 0, queries};
+  detail::extent const of_train{trains > 0 ? detail::strips_of(queries) : 0, trains};
+  c.place(of_query, v.of_query);
+  c.place(of_train, v.of_train);
+  if constexpr (std::is_floating_point<Distance>::value) {
+    c.place(of_query, v.rest_of_query);
+    c.place(of_train, v.rest_of_train);
+  }
 }
 
 }  // namespace FT_ABI

@@ -57,6 +57,15 @@ FT_HOST_DEVICE inline rigid<double> pose_of(stored_inertial_state const& state) 
   return T.orthonormalized().cast<double>();
 }
 
+/// By how much the rotation of an integral grows with the offset of its clock: that at the end less
+/// that at the begin, rad/s, in the body's frame at the end.
+/// @param from, to rates of turning at its begin and end, in the body's frame there
+FT_HOST_DEVICE inline vec3<strict_float> turn_by_clock(preintegrated const& p, vec3<float> from,
+                                                       vec3<float> to) {
+  using real = strict_float;
+  return to.cast<real>() - p.dR.cast<real>().transposed() * from.cast<real>();
+}
+
 /// Item: a camera. Copies its samples, and says what is integrated up to its next frame.
 struct begin_inertial_frame {
   using scratch = no_scratch;
@@ -85,6 +94,7 @@ struct begin_inertial_frame {
     }
     v.intervals[b] = {in.from_s, in.to_s, first, in.samples};
     double const newest_s = in.samples > 0 ? samples[first + in.samples - 1].time_s : in.to_s;
+    t.clock_sigma = in.clock_sigma_s;
     t.unseen_s = static_cast<float>(max_of(in.to_s - newest_s, 0.0));
     v.starts[2 * b] = {b, 1, t.last.bias};
     v.starts[2 * b + 1] = {b, t.restarts, t.keyframe.bias};
@@ -121,7 +131,10 @@ private:
     if (t.source == inertial_source::none) {
       to.integral[b].status = integration_status::no_samples;
     }
-    loosen(to.integral[b], v.accel_sigma, t.unseen_s);
+    preintegrated& p = to.integral[b];
+    loosen(p, v.accel_sigma, t.unseen_s);
+    loosen_clock(p, turn_by_clock(p, from_last ? t.last_rate : t.keyframe_rate, t.rate),
+                 t.clock_sigma);
   }
   /// More than 6 g all the time between two images is no motion of a camera, m/s^2.
   static constexpr float most_accel = 60;
@@ -159,6 +172,18 @@ private:
       add(6 + i, 3 + i, dv * dp + late_dv * late_dp);
     }
   }
+  /// Adds what an offset of the clocks may turn more. What it changes of velocities is less than
+  /// what gravity and bias do.
+  FT_HOST_DEVICE static void loosen_clock(preintegrated& p, vec3<strict_float> turn, float sigma) {
+    using real = strict_float;
+    real const d[3] = {turn.x * real(sigma), turn.y * real(sigma), turn.z * real(sigma)};
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        float& c = p.C[9 * i + j];
+        c = (real(c) + d[i] * d[j]).value;
+      }
+    }
+  }
   /// Until all is known, the gyroscope says how the camera has turned. Where it is, its motion
   /// says.
   FT_HOST_DEVICE static void predict_turn(int b, inertial_prediction const& in,
@@ -184,6 +209,9 @@ private:
     inertial_track& t = v.tracks[b];
     t.source = inertial_source::none;
     t.status = v.from_last(b).status;
+    t.last_rate = t.rate;
+    int const steps = usable(t.status) ? v.from_last(b).steps : 0;
+    t.rate = steps > 0 ? v.steps.of(b)[steps - 1].gyro : vec3<float>{0, 0, 0};
     camera_track& track = state.tracks[b];
     track.guided = 0;
     bool const blind = saturated_difference(track.time_ns, track.seen_ns) >= longest_bridge_ns;

@@ -53,6 +53,10 @@ struct inertial_track {
   int sees;                   ///< 1 = it comes from many matches
   int gyro_agrees;            ///< 1 = the gyroscope turned as the images until the last frame
   int stale;                  ///< 1 = the next estimate comes from before the IMU began anew
+  /// Rates of turning at the current frame, the one before, and the newest keyframe, in the body's
+  /// frame there, rad/s; 0 = unknown.
+  vec3<float> rate, last_rate, keyframe_rate;
+  float clock_sigma;  ///< inertial_input::clock_sigma_s
 
   FT_HOST_DEVICE bool known() const { return estimates > 0; }
   FT_HOST_DEVICE static inertial_track initial() {
@@ -81,9 +85,10 @@ struct inertial_track {
 
 /// Of a keyframe when it was made.
 struct keyframe_motion {
-  vec3<float> v;  ///< world, m/s
-  int moves;      ///< 1 = it is known
-  int weak;       ///< as in inertial_track
+  vec3<float> v;       ///< world, m/s
+  int moves;           ///< 1 = it is known
+  int weak;            ///< as in inertial_track
+  vec3<float> rate{};  ///< likewise
 };
 
 /// Inputs of a frame from the host, one camera.
@@ -91,6 +96,7 @@ struct inertial_input {
   double from_s, to_s;  ///< stamps of the last image and of this one; equal = there was none
   int samples;          ///< among which the ones between them are
   int anew;             ///< 1 = what was integrated so far is wrong: the IMU begins anew
+  float clock_sigma_s;  ///< how well the offset of the clocks that is in use is known
 };
 
 /// What the poses of the current frames are optimised from, as in inertial_poses. Executor memory.

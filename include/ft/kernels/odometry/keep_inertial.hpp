@@ -113,7 +113,8 @@ private:
     }
     t.keyframe = t.last;
     t.keyframe_moves = t.moves;
-    v.motion[v.at(b, keyframes.position(keyframes.made[b]))] = {t.last.v, t.moves, t.weak};
+    t.keyframe_rate = t.rate;
+    v.motion[v.at(b, keyframes.position(keyframes.made[b]))] = {t.last.v, t.moves, t.weak, t.rate};
     t.restarts = 1;
   }
   /// A new map has a unit of its own: of what was known the biases are left, to integrate with.
@@ -128,6 +129,8 @@ private:
     t.sees = old.sees;
     t.gyro_agrees = old.gyro_agrees;
     t.stale = old.stale;
+    t.rate = old.rate;
+    t.clock_sigma = old.clock_sigma;
     t.map = map;
     if (keyframes.count[b] == 0) { return; }
     int const first = keyframes.position(keyframes.oldest(b));

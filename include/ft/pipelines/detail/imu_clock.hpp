@@ -32,6 +32,8 @@ namespace detail {
 /// spike. add() allocates nothing.
 class turn_history {
 public:
+  static constexpr double jerk = 5;  ///< rad/s from sample to sample: no body turns so
+
   void reserve(std::size_t samples) { ring_.resize(samples); }
   void clear() { count_ = 0; }
   /// @param time_ns after that of the sample before
@@ -77,7 +79,6 @@ public:
 
 private:
   static constexpr std::int64_t longest_gap_ns = 100'000'000;
-  static constexpr double jerk = 5;  ///< rad/s from sample to sample: no body turns so
   struct entry {
     std::int64_t time_ns;
     strict_mat3d R;

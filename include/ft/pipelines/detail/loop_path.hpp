@@ -140,6 +140,24 @@ struct loop_path {
     while (n < most && n < size() && at(size() - 1 - n).part == keyframes.back().part) { ++n; }
     return n;
   }
+  /// Whether two loops to a keyframe cannot both be right: they place it farther apart than the
+  /// path may have drifted in between, and than half the distance between the keyframes that they
+  /// are from; or turned so. Of different parts it is not known.
+  bool contradict(path_loop const& a, path_loop const& b, loop_params const& params,
+                  double baseline) const {
+    path_keyframe const& from_a = at(a.from);
+    path_keyframe const& from_b = at(b.from);
+    if (from_a.part != from_b.part) { return false; }
+    double const way = this->way(std::min(a.from, b.from), std::max(a.from, b.from));
+    auto const placed_a = from_a.T_world_camera * a.T_from_to;
+    auto const placed_b = from_b.T_world_camera * b.T_from_to;
+    double const apart = length(from_a.T_world_camera.t - from_b.T_world_camera.t);
+    double const turned = angle(from_a.T_world_camera.R.transposed() * from_b.T_world_camera.R);
+    return length(placed_a.t - placed_b.t) >
+               std::max(static_cast<double>(params.max_drift) * way + baseline, 0.5 * apart) ||
+           angle(placed_a.R.transposed() * placed_b.R) >
+               std::max(static_cast<double>(params.max_turn) + 0.01 * way, 0.5 * turned);
+  }
   /// Whether two loops say the same of the pose of the part that they lead to, which is that of one
   /// of its keyframes where they lead to the same: their difference is likely with 8 times the
   /// covariance of either.

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -55,6 +56,7 @@ struct loop_search {
   loop_archive_view archive;
   std::unique_ptr<loop_executor<Exec>> where = std::make_unique<loop_executor<Exec>>();
   loop_path path;           ///< in and out
+  loop_path corrected;      ///< a copy of its keyframes and loops, where the last run closed one
   bool joins_only = false;  ///< looks for keyframes of other parts alone
   int closed = 0;           ///< loops that the last run added
   struct memory {
@@ -85,6 +87,7 @@ struct loop_search {
       c.place({most}, s.found);
     });
     path.reserve(archive.rows, params.groups);
+    corrected.reserve(archive.rows, params.groups);
   }
 
   /// Called on a thread of its own.
@@ -93,11 +96,22 @@ struct loop_search {
     Exec const& exec = where->on(threads);
     int const candidates = vote(exec);
     if (candidates == 0) { return; }
-    for (auto const& group : choose(candidates)) { close(exec, group); }
-    if (closed > 0) { path.optimize(threads); }
+    std::vector<verified_loop> found;
+    for (auto const& group : choose(candidates)) { verify(exec, group, found); }
+    for (verified_loop const& f : found) {
+      if (is_told_apart(f, found)) { close(f.loop); }
+    }
+    if (closed == 0) { return; }
+    path.optimize(threads);
+    corrected.keyframes = path.keyframes;
+    corrected.loops = path.loops;
   }
 
 private:
+  struct verified_loop {
+    path_loop loop;
+    int inliers;
+  };
   int query() const { return path.size() - 1; }
 
   /// Votes for the keyframes that are not among the newest ones of their part. @return their number
@@ -115,7 +129,10 @@ private:
     return n;
   }
 
-  /// The keyframes with most votes together with their neighbours; the first one of equals.
+  /// The keyframes with most votes together with their neighbours, the first one of equals; then,
+  /// in the part of the query, the nearest by the path of those with at least half as many, for
+  /// where places look the same that is the one. Of a map that is not joined yet two more, which
+  /// may be places that look the same.
   std::vector<std::vector<int>> choose(int n) const {
     int const* const votes = staging_->votes;
     std::vector<int> sums(static_cast<std::size_t>(n));
@@ -124,16 +141,39 @@ private:
       for (int const k : neighbours(i, n)) { sums[static_cast<std::size_t>(i)] += votes[k]; }
     }
     std::vector<std::vector<int>> groups;
-    while (static_cast<int>(groups.size()) < params.groups) {
+    int enough = 0;
+    int const most_groups = params.groups + (path.at(query()).part == path.at(0).part ? 0 : 2);
+    while (static_cast<int>(groups.size()) < most_groups) {
       auto const most = std::max_element(sums.begin(), sums.end());
       if (*most == 0) { break; }
-      int const i = static_cast<int>(most - sums.begin());
+      int i = static_cast<int>(most - sums.begin());
+      if (groups.empty()) {
+        enough = (*most + 1) / 2;
+      } else {
+        i = nearest(sums, enough, i);
+      }
       groups.push_back(neighbours(i, n));
       for (int k = std::max(i - 2, 0); k <= std::min(i + 2, n - 1); ++k) {
         sums[static_cast<std::size_t>(k)] = 0;
       }
     }
     return groups;
+  }
+
+  /// Of the keyframes of the query's part that have enough votes the nearest one; i if there is
+  /// none.
+  int nearest(std::vector<int> const& sums, int enough, int i) const {
+    path_keyframe const& from = path.at(query());
+    double least = std::numeric_limits<double>::infinity();
+    for (int k = 0; k < static_cast<int>(sums.size()); ++k) {
+      if (sums[static_cast<std::size_t>(k)] < enough || path.at(k).part != from.part) { continue; }
+      auto const off = path.at(k).T_world_camera.t - from.T_world_camera.t;
+      if (dot(off, off) < least) {
+        least = dot(off, off);
+        i = k;
+      }
+    }
+    return i;
   }
 
   /// Keyframe i of the first n and those beside it that are of its part.
@@ -145,8 +185,8 @@ private:
     return all;
   }
 
-  /// Adds the loops to a group of keyframes that two of them agree on.
-  void close(Exec const& exec, std::vector<int> const& group) {
+  /// Adds the loop to a group of keyframes that two of them agree on, if there is one.
+  void verify(Exec const& exec, std::vector<int> const& group, std::vector<verified_loop>& to) {
     memory const& m = memory_.view();
     staging const& s = staging_.view();
     int const n = static_cast<int>(group.size());
@@ -178,13 +218,25 @@ private:
         inliers.push_back(found.inliers);
       }
     }
-    path_loop const* const best = best_agreed(loops, inliers);
-    if (best == nullptr) { return; }
-    if (path.at(best->from).part == path.at(query()).part) {
-      path.loops.push_back(*best);
+    std::size_t const best = best_agreed(loops, inliers);
+    if (best < loops.size()) { to.push_back({loops[best], inliers[best]}); }
+  }
+  /// Whether no other place looks as much like that of a loop.
+  bool is_told_apart(verified_loop const& f, std::vector<verified_loop> const& all) const {
+    for (verified_loop const& other : all) {
+      if (2 * other.inliers > f.inliers &&
+          path.contradict(f.loop, other.loop, params, baseline())) {
+        return false;
+      }
+    }
+    return true;
+  }
+  void close(path_loop const& loop) {
+    if (path.at(loop.from).part != path.at(query()).part) {
+      closed += path.join(loop);
+    } else if (path.fits(loop, params, baseline())) {  // also after the join by another one
+      path.loops.push_back(loop);
       ++closed;
-    } else {
-      closed += path.join(*best);
     }
   }
   /// The scale of a loop, and its information in units of the keyframe that it leads to.
@@ -202,9 +254,10 @@ private:
   double baseline() const {
     return is_monocular_v<Rig> ? 0.0 : static_cast<double>(rig.baseline_length().value);
   }
-  /// Of the loops that another one agrees with, that of most inliers; null if there is none.
-  path_loop const* best_agreed(std::vector<path_loop> const& loops,
-                               std::vector<int> const& inliers) const {
+  /// Of the loops that another one agrees with, that of most inliers; their number if there is
+  /// none.
+  std::size_t best_agreed(std::vector<path_loop> const& loops,
+                          std::vector<int> const& inliers) const {
     std::size_t best = loops.size();
     for (std::size_t a = 0; a < loops.size(); ++a) {
       bool agreed = false;
@@ -213,7 +266,7 @@ private:
       }
       if (agreed && (best == loops.size() || inliers[a] > inliers[best])) { best = a; }
     }
-    return best < loops.size() ? &loops[best] : nullptr;
+    return best;
   }
 };
 

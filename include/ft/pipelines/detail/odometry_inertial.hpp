@@ -102,14 +102,17 @@ public:
     };
     imu_sample* const to = samples_ + i * static_cast<std::size_t>(params_.samples);
     auto const early_ns = static_cast<std::int64_t>(params_.selection.early_s * 1e9);
-    bool const anew = params_.estimate_time_offset && correct_clock(b);
+    imu_clock_offset const clock =
+        params_.estimate_time_offset ? queue(b).clock() : imu_clock_offset{};
+    bool const anew = correct_clock(b, clock);
     auto const on_its_clock = [&](std::int64_t t) {
       return saturated_difference(t, -offset_ns_[i]);
     };
     int const n =
         queue(b).take(on_its_clock(base_ns_[i]),
                       on_its_clock(saturated_difference(to_ns, early_ns)), params_.samples, to);
-    inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples), anew ? 1 : 0};
+    inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples), anew ? 1 : 0,
+                  clock_sigma(b, clock)};
   }
   void describe(int b, std::int64_t time_ns, tracking& of) override {
     auto const i = static_cast<std::size_t>(b);
@@ -224,6 +227,9 @@ private:
   sample_queue& queue(int b) { return queues_[static_cast<std::size_t>(b)]; }
   /// Smaller changes of the offset are not made: standard deviations, and seconds.
   static constexpr double clear_sigmas = 4, clear_change_s = 1.5e-3;
+  /// Standard deviation of the offset in use until there is an estimate, s: stamps of the begin or
+  /// the end of an exposure, or of the arrival of an image, are off by as much.
+  static constexpr float unknown_clock_s = 0.01f;
   static std::int64_t nanoseconds(double s) { return std::llround(s * 1e9); }
 
   /// What the images alone tell of the IMU's attitude.
@@ -236,9 +242,8 @@ private:
   }
   /// @return whether the offset in use has changed. That of one camera is only told: how its map
   /// has turned is too uncertain, and an IMU that begins anew knows no scale for long.
-  bool correct_clock(int b) {
+  bool correct_clock(int b, imu_clock_offset const& found) {
     if (view_.seeks_scale) { return false; }
-    imu_clock_offset const found = queue(b).clock();
     std::int64_t& used = offset_ns_[static_cast<std::size_t>(b)];
     double const change = std::abs(found.offset_s - static_cast<double>(used) * 1e-9);
     if (!(found.sigma_s > 0) || !(change > max_of(clear_sigmas * found.sigma_s, clear_change_s))) {
@@ -246,6 +251,14 @@ private:
     }
     used = nanoseconds(found.offset_s);
     return true;
+  }
+  /// How well the offset in use is known. A given one is exact where it is not to be estimated.
+  float clock_sigma(int b, imu_clock_offset const& found) const {
+    if (!params_.estimate_time_offset) { return 0; }
+    if (!(found.sigma_s > 0)) { return unknown_clock_s; }
+    double const used = static_cast<double>(offset_ns_[static_cast<std::size_t>(b)]) * 1e-9;
+    double const off = max_of(found.sigma_s, std::abs(found.offset_s - used));
+    return min_of(static_cast<float>(off), unknown_clock_s);
   }
   static constexpr memory_space staging = staging_space<Exec>;
 

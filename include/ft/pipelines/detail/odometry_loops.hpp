@@ -41,14 +41,13 @@ class odometry_loops final : public odometry_part<Exec, Rig> {
   using search_type = loop_search<Exec, searched_rig>;
   static constexpr bool one_camera = stages_type::starts_from_motion;
   static constexpr int most_sought = 30;
-  static constexpr int margin = 64;  ///< rows beyond the limit, for keyframes during a search
 
 public:
   odometry_loops(Exec const& exec, stages_type const& stages)
       : params_(stages.settings.loops), awaits_scale_(one_camera && stages.settings.imu.present) {
     path_.scaled = one_camera && !awaits_scale_;
     archive_ = owner<loop_archive_view, Exec::space>([&](carver& c, loop_archive_view& v) {
-      carve(c, v, params_.keyframes + margin, params_.points);
+      carve(c, v, params_.keyframes + margin(), params_.points);
     });
     path_.reserve(archive_->rows, params_.groups);
     forget_all();
@@ -68,6 +67,7 @@ public:
     if (running_ || searched_ == path_.size()) { return; }
     if (path_.size() >= params_.keyframes) {
       path_.thin([this](int row) { free_.push_back(row); });
+      searched_path_differs_ = true;
     }
     begin();
   }
@@ -94,7 +94,7 @@ public:
     if (from == nullptr) { return; }
     auto saved = std::make_unique<saved_loops<Exec>>(
         read_loops<Exec>(archive_.view(),
-                         {params_.keyframes + margin / 2, path_.most_loops(),
+                         {params_.keyframes + margin() / 2, path_.most_loops(),
                           keyframe_task<searched_rig>::depth_cameras, path_.scaled},
                          *from));
     // An IMU that has told the scale has told gravity, too.
@@ -122,6 +122,11 @@ public:
   }
 
 private:
+  /// Frames after which the result of a search enters: by the number of keyframes alone, so that
+  /// answers do not depend on the machine.
+  static int frames_of_search(int keyframes) { return 4 + keyframes / 64; }
+  /// Rows beyond the limit, for keyframes during a search.
+  int margin() const { return std::max(64, 2 * frames_of_search(params_.keyframes)); }
   /// Whether the camera is where the path begins, not in a map that waits to be joined.
   bool of_first_part() const {
     return path_.size() == 0 || path_.keyframes.back().part == path_.keyframes.front().part;
@@ -175,13 +180,22 @@ private:
     to.T_world_odom = without_scale(T_world_odom_);
     to.odom_scale = T_world_odom_.scale;
   }
+  /// The search has all of the path but what is new: a copy of a long path would be seen in the
+  /// time of a frame.
   void begin() {
-    beside_->work().path = path_;
+    loop_path& to = beside_->work().path;
+    if (searched_path_differs_) {
+      to = path_;
+      searched_path_differs_ = false;
+    } else {
+      to.keyframes.insert(to.keyframes.end(), path_.keyframes.begin() + to.size(),
+                          path_.keyframes.end());
+      to.gravity = path_.gravity;
+    }
     searched_ = path_.size();
-    // By the number of keyframes alone, so that answers do not depend on the machine.
     bool const seeking = seeks();
     beside_->work().joins_only = seeking;
-    ends_ = frame_ + (seeking ? 1 : std::min(4 + path_.size() / 64, margin / 2));
+    ends_ = frame_ + (seeking ? 1 : frames_of_search(path_.size()));
     running_ = true;
     run_ = beside_->begin();
   }
@@ -193,23 +207,25 @@ private:
       beside_->finish(host_exec(1), run_);
     } catch (...) {
       failure_ = std::current_exception();
+      searched_path_differs_ = true;
       return;
     }
-    loop_path const& found = beside_->work().path;
-    closed_now_ = beside_->work().closed;
-    path_.joints = found.joints;
+    search_type& search = beside_->work();
+    closed_now_ = search.closed;
+    path_.joints = search.path.joints;
     if (closed_now_ == 0) { return; }
-    path_.loops = found.loops;
-    auto const T_world_odom = found.T_world_odom();
-    for (int i = 0; i < path_.size(); ++i) {
-      path_keyframe& k = path_.keyframes[static_cast<std::size_t>(i)];
-      if (i < found.size()) {
-        k.part = found.at(i).part;
-        k.T_world_camera = found.at(i).T_world_camera;
-      } else if (k.map == found.keyframes.back().map) {  // made since
-        k.part = found.keyframes.back().part;
+    path_.loops.swap(search.corrected.loops);
+    path_.keyframes.swap(search.corrected.keyframes);
+    auto const& before = search.corrected.keyframes;
+    path_keyframe const last = path_.keyframes.back();
+    auto const T_world_odom = path_.T_world_odom();
+    for (auto i = path_.keyframes.size(); i < before.size(); ++i) {  // made since
+      path_keyframe k = before[i];
+      if (k.map == last.map) {
+        k.part = last.part;
         k.T_world_camera = (T_world_odom * with_scale(k.T_odom_camera)).orthonormalized();
       }
+      path_.keyframes.push_back(k);
     }
     T_world_odom_ = path_.T_world_odom();  // a map that began since stays where it is
     corrected_ = true;
@@ -225,6 +241,7 @@ private:
     path_.loops.assign(from.loops.begin(), from.loops.end());
     path_.gravity = from.gravity;
     searched_ = path_.size();
+    searched_path_differs_ = true;
     T_world_odom_ = path_.T_world_odom();
     corrected_ = loaded_ = path_.size() > 0;
     if (awaits_scale_ && loaded_) { metric_map_ = path_.keyframes.back().map; }
@@ -237,6 +254,7 @@ private:
     free_.clear();
     for (int i = archive_->rows - 1; i >= 0; --i) { free_.push_back(i); }
     searched_ = closed_now_ = metric_map_ = 0;
+    searched_path_differs_ = true;
     T_world_odom_ = similarity<double>::identity();
   }
 
@@ -254,8 +272,9 @@ private:
   int searched_ = 0;    ///< keyframes of which loops were looked for
   int closed_now_ = 0;  ///< loops that entered with the last frame
   bool running_ = false;
-  bool loaded_ = false;                       ///< the path began with that of a file
-  std::exception_ptr failure_;                ///< of a search
+  bool searched_path_differs_ = true;  ///< from path_, by more than that new keyframes are missing
+  bool loaded_ = false;                ///< the path began with that of a file
+  std::exception_ptr failure_;         ///< of a search
   std::unique_ptr<saved_loops<Exec>> saved_;  ///< that were read, and enter with forget()
   bool corrected_ = false;                    ///< T_world_odom_ is not the identity
   std::unique_ptr<work_beside<host_exec, search_type>> beside_;  ///< last: it uses the archive

@@ -43,6 +43,78 @@ private:
   long long count_ = 0;
 };
 
+/// Tells when a sensor has stopped to measure. Noise makes each sample another one; the same one
+/// again, bit by bit, `fewest` times and more, is a sensor that is stuck, or a driver that repeats
+/// what it has. One that repeated itself before, as a simulator without noise does, or a driver
+/// with a higher rate than its sensor's, tells nothing by it.
+class stuck_sensor {
+public:
+  static constexpr int fewest = 3;  ///< repetitions, of which chance makes fewer
+  static constexpr int noisy = 64;  ///< samples without a repetition show that there is noise
+
+  /// @return repetitions so far, where the sample is one of a sensor that is stuck; else 0
+  int add(imu_measurement const& m) {
+    if (any_ && same(m, last_)) {
+      ++repeated_;
+      return changed_ >= noisy && repeated_ >= fewest ? repeated_ : 0;
+    }
+    bool const was_stuck = changed_ >= noisy && repeated_ >= fewest;
+    if (repeated_ > 0 && !was_stuck) { changed_ = 0; }
+    changed_ = std::min(changed_ + 1, noisy);
+    repeated_ = 0;
+    last_ = m;
+    any_ = true;
+    return 0;
+  }
+  static bool same(imu_measurement const& a, imu_measurement const& b) {
+    return same(a.accel, b.accel) && same(a.gyro, b.gyro);
+  }
+
+private:
+  static bool same(vec3<float> a, vec3<float> b) { return a.x == b.x && a.y == b.y && a.z == b.z; }
+
+  imu_measurement last_{};
+  bool any_ = false;
+  int changed_ = 0;   ///< samples in a row that were other ones, before the repetitions
+  int repeated_ = 0;  ///< the last sample
+};
+
+/// Finds single rates of turning that no body has between those of the samples before and after: a
+/// bit error, or another device's interference.
+class turn_spikes {
+public:
+  /// Nearer than so many samples, several are a vibration.
+  static constexpr int apart = 16;
+
+  /// @return whether the sample before was a spike
+  bool add(vec3<float> gyro) {
+    bool const spike = suspect_ && is_jump(newest_, gyro);
+    if (spike) {
+      since_ = 0;
+    } else {
+      before_ = newest_;
+      since_ = std::min(since_ + 1, apart);
+    }
+    suspect_ = any_ && since_ == apart && is_jump(before_, gyro);
+    newest_ = gyro;
+    any_ = true;
+    return spike;
+  }
+  /// Whether the newest sample may be one: the next will tell.
+  bool suspects() const { return suspect_; }
+
+private:
+  static bool is_jump(vec3<float> from, vec3<float> to) {
+    vec3<double> const d = to.cast<double>() - from.cast<double>();
+    return dot(d, d) > turn_history::jerk * turn_history::jerk;
+  }
+
+  vec3<float> before_{}, newest_{};  ///< rad/s
+  int since_ = apart - 1;            ///< samples since the last spike, at most `apart`
+  bool any_ = false;
+  bool suspect_ = false;
+};
+
 /// Samples of one IMU that wait for their frame. Any thread may add; one takes.
 class sample_queue {
 public:
@@ -70,6 +142,14 @@ public:
       ++left_out_.disordered;
       return;
     }
+    if (int const repeated = stuck_.add(m); repeated > 0) {
+      leave_out_repetitions(m, repeated);
+      return;
+    }
+    if (spikes_.add(m.gyro)) {
+      ++left_out_.spikes;
+      if (waiting_.size() > first_ && waiting_.back().time_ns == last_ns_) { waiting_.pop_back(); }
+    }
     if (any_ && m.time_ns > last_ns_) { rate_.add(saturated_difference(m.time_ns, last_ns_)); }
     any_ = true;
     behind_ = 0;
@@ -87,7 +167,9 @@ public:
     std::lock_guard<std::mutex> const lock(mutex_);
     auto const late = std::find_if(waiting_.begin() + at(first_), waiting_.end(),
                                    [&](imu_measurement const& m) { return m.time_ns >= to_ns; });
-    auto const end = late == waiting_.end() ? late : late + 1;
+    auto end = late == waiting_.end() ? late : late + 1;
+    bool const suspect = spikes_.suspects() && end == waiting_.end();
+    if (suspect && end != waiting_.begin() + at(first_)) { --end; }
     int n = 0;
     for (auto m = waiting_.begin() + at(first_); m != end; ++m, ++n) {
       if (n < capacity) {
@@ -122,6 +204,8 @@ public:
     any_ = false;
     behind_ = 0;
     rate_ = {};
+    stuck_ = {};
+    spikes_ = {};
     left_out_ = {};
     clock_.clear();
   }
@@ -144,6 +228,15 @@ private:
     while (waiting_.size() > first_ && waiting_.back().time_ns >= time_ns) { waiting_.pop_back(); }
     return true;
   }
+  /// @param repeated how often the sample was there before: those of them that wait leave, too
+  void leave_out_repetitions(imu_measurement const& m, int repeated) {
+    ++left_out_.frozen;
+    for (int i = 1; repeated == stuck_sensor::fewest && i < repeated; ++i) {
+      if (waiting_.size() <= first_ || !stuck_sensor::same(waiting_.back(), m)) { return; }
+      waiting_.pop_back();
+      ++left_out_.frozen;
+    }
+  }
   void drop_until(std::vector<imu_measurement>::iterator end) {
     waiting_.erase(waiting_.begin(), end);
     first_ = 0;
@@ -159,6 +252,8 @@ private:
   int behind_ = 0;              ///< such ones in a row whose times ascend
   bool any_ = false;
   measured_rate rate_;
+  stuck_sensor stuck_;
+  turn_spikes spikes_;
   imu_left_out left_out_;
   imu_clock clock_;
 };

@@ -4,8 +4,8 @@
 /// A block of a device compares tiles of 64 by 64 rows. It keeps some parts of them in shared
 /// memory at a time, a part of all rows after the other, and each thread the sums of 16 pairs in
 /// registers: a part is read once for several pairs. Bytes are multiplied by tensor cores where
-/// there are (compute capability 8.0). The host goes through the train rows with four query rows
-/// at a time.
+/// there are (compute capability 8.0), and numbers give a shortlist (shortlist_tiles.hpp). The host
+/// goes through the train rows with four query rows at a time.
 #pragma once
 
 #include <cstddef>
@@ -16,6 +16,8 @@
 #include "ft/core/config.hpp"
 #include "ft/descriptors/descriptor_model.hpp"
 #include "ft/descriptors/vector_descriptor.hpp"
+#include "ft/kernels/matching/detail/shortlist_tiles.hpp"
+#include "ft/kernels/matching/detail/strips.hpp"
 #include "ft/kernels/matching/match_types.hpp"
 
 namespace ft {
@@ -23,15 +25,8 @@ inline namespace FT_ABI {
 
 namespace detail {
 
-inline constexpr int match_threads = 256;
 /// Query rows that the host takes at a time.
 inline constexpr int match_own = 4;
-
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
-inline constexpr bool has_byte_products = true;
-#else
-inline constexpr bool has_byte_products = false;
-#endif
 
 /// The pairs of a tile that a thread compares: 4 query rows, 16 apart, with 4 train rows.
 struct pairs_apart {
@@ -45,25 +40,11 @@ struct pairs_apart {
   FT_HOST_DEVICE static int share(int) { return 0; }
   FT_HOST_DEVICE static int line(int rank) { return rank / 16; }
 };
-/// Those of the PTX instruction mma.m16n8k32: a warp compares 16 query rows with 4 times 8 train
-/// rows, and two warps have the same query rows.
-struct pairs_of_mma {
-  static constexpr int rows = 2, columns = 8;
-  static constexpr int lanes = 4;
-  static constexpr int shares = 2;
-  static constexpr int lines = 32;
 
-  FT_HOST_DEVICE static int row(int rank, int r) { return rank / 64 * 16 + rank % 32 / 4 + 8 * r; }
-  FT_HOST_DEVICE static int column(int rank, int c) {
-    return share(rank) * 32 + c / 2 * 8 + rank % 4 * 2 + c % 2;
-  }
-  FT_HOST_DEVICE static int share(int rank) { return rank / 32 % 2; }
-  FT_HOST_DEVICE static int line(int rank) { return rank / 64 * 8 + rank % 32 / 4; }
-};
-
-/// A row's sums are those of products of bytes.
+/// Whether tensor cores compute the sums of D, where there are some.
 template <typename D>
-inline constexpr bool is_of_bytes = std::is_same<typename row_parts<D>::part, four_words>::value;
+inline constexpr bool has_exact_products =
+    products_by_mma<D> == products::of_bits || products_by_mma<D> == products::of_bytes;
 
 template <typename D>
 struct match_scratch {
@@ -74,10 +55,10 @@ struct match_scratch {
       min_of(reader::parts, max_of(static_cast<int>(128 / sizeof(part)), 1));
 
   part rows[2][each][match_side + 1];  ///< one more, against conflicts of banks
-  typename reader::sum own[2][reader::uses_own_sums ? match_side : 1];
-  two_nearest_rows<descriptor_distance<D>> best[is_of_bytes<D> ? match_side : 1];
+  typename reader::sum own[2][reader::uses_own_sums || has_exact_products<D> ? match_side : 1];
+  two_nearest_rows<descriptor_distance<D>> best[has_exact_products<D> ? match_side : 1];
   nearest_row<descriptor_distance<D>>
-      of_train[is_of_bytes<D> ? pairs_of_mma::lines : pairs_apart::lines][match_side + 4];
+      of_train[has_exact_products<D> ? pairs_of_mma::lines : pairs_apart::lines][match_side + 4];
 };
 
 /// Item: a strip of query rows and a strip of train rows.
@@ -85,7 +66,7 @@ template <typename D>
 struct match_strips {
   static constexpr bool wide_on_host = true;
   static constexpr int resident_blocks = 2;
-  using scratch = match_scratch<D>;
+  using scratch = std::conditional_t<has_shortlist<D>, shortlist_scratch, match_scratch<D>>;
   using distance_type = descriptor_distance<D>;
   using workspace = match_workspace<distance_type>;
 
@@ -98,18 +79,12 @@ struct match_strips {
     strip_plan const trains = strip_plan::of(train.size(), across);
     int const q = item / across, t = item % across;
     if (q >= queries.used || t >= trains.used) { return; }
-    strip const mine{
-        query.row,
-        train.row,
-        queries.begin(q),
-        queries.end(q),
-        trains.begin(t),
-        trains.end(t),
-        work.of_query + static_cast<std::ptrdiff_t>(t) * work.queries,
-        mutual ? work.of_train + static_cast<std::ptrdiff_t>(q) * work.trains : nullptr};
+    strip_pair<D> const mine = strip_pair<D>::of(query, train, queries, trains, q, t, mutual, work);
     if constexpr (Group::max_threads == 1) {
       static_cast<void>(s);
       by_rows(mine);
+    } else if constexpr (has_shortlist<D>) {
+      shortlist_tiles<D>::compare(g, s, mine);
     } else {
       by_tiles(g, s, mine);
     }
@@ -121,16 +96,10 @@ private:
   using sum = typename reader::sum;
   using two = two_nearest_rows<distance_type>;
   using one = nearest_row<distance_type>;
-  using pairs = std::conditional_t<has_byte_products && is_of_bytes<D>, pairs_of_mma, pairs_apart>;
-
-  struct strip {
-    D const* query;
-    D const* train;
-    int first_query, last_query;  ///< the latter is past the strip
-    int first_train, last_train;
-    two* of_query;  ///< of this strip of train rows
-    one* of_train;  ///< of this strip of query rows; null = not asked for
-  };
+  using pairs = std::conditional_t<has_mma && has_exact_products<D>, pairs_of_mma, pairs_apart>;
+  /// Bits that differ are those that are set in one row, and in the other, but not in both.
+  static constexpr bool counts_bits = has_mma && products_by_mma<D> == products::of_bits;
+  static constexpr bool uses_own_sums = reader::uses_own_sums || counts_bits;
 
   // ---- the host
 
@@ -141,7 +110,7 @@ private:
     two best[match_own];
   };
 
-  FT_HOST_DEVICE static void by_rows(strip const& in) {
+  FT_HOST_DEVICE static void by_rows(strip_pair<D> const& in) {
     for (int j = in.first_train; in.of_train != nullptr && j < in.last_train; ++j) {
       in.of_train[j] = one::none();
     }
@@ -156,8 +125,8 @@ private:
       for (int r = 0; r < count; ++r) { in.of_query[i + r] = mine.best[r]; }
     }
   }
-  FT_HOST_DEVICE static void compare_row(strip const& in, rows_together& mine, int i, int count,
-                                         int j) {
+  FT_HOST_DEVICE static void compare_row(strip_pair<D> const& in, rows_together& mine, int i,
+                                         int count, int j) {
     part theirs[reader::parts];
     sum const own = read_row(in.train[j], theirs);
     // By name, so that they stay in registers.
@@ -190,7 +159,7 @@ private:
   // ---- a device
 
   template <typename Group>
-  FT_HOST_DEVICE static void by_tiles(Group g, scratch& s, strip const& in) {
+  FT_HOST_DEVICE static void by_tiles(Group g, scratch& s, strip_pair<D> const& in) {
     for (int q = in.first_query; q < in.last_query; q += match_side) {
       two best[pairs::rows];
       FT_UNROLL
@@ -206,8 +175,8 @@ private:
           FT_UNROLL
           for (int r = 0; r < pairs::rows; ++r) {
             int const i = q + pairs::row(g.rank(), r);
-            distance_type const d = usable_distance(
-                reader::distance_of(sums[r][c], own_sum(s, 0, i - q), own_sum(s, 1, j - t)));
+            distance_type const d =
+                distance_of(sums[r][c], own_sum(s, 0, i - q), own_sum(s, 1, j - t));
             best[r].add(j < in.last_train ? d : no_distance<distance_type>, j);
             of_train[c].add(i < in.last_query ? d : no_distance<distance_type>, i);
           }
@@ -217,9 +186,16 @@ private:
       keep_of_query(g, s, in, q, best);
     }
   }
+  FT_HOST_DEVICE static distance_type distance_of(sum const& ab, sum const& aa, sum const& bb) {
+    if constexpr (counts_bits) {
+      return aa + bb - 2 * ab;
+    } else {
+      return usable_distance(reader::distance_of(ab, aa, bb));
+    }
+  }
   /// Merges what the threads of a query row found.
   template <typename Group>
-  FT_HOST_DEVICE static void keep_of_query(Group g, scratch& s, strip const& in, int q,
+  FT_HOST_DEVICE static void keep_of_query(Group g, scratch& s, strip_pair<D> const& in, int q,
                                            two (&best)[pairs::rows]) {
     bool const is_first = g.rank() % pairs::lanes == 0;
     int const share = pairs::share(g.rank());
@@ -239,7 +215,7 @@ private:
 
   /// Sums over all parts of the rows of a tile.
   template <typename Group>
-  FT_HOST_DEVICE static void add_tile(Group g, scratch& s, strip const& in, int q, int t,
+  FT_HOST_DEVICE static void add_tile(Group g, scratch& s, strip_pair<D> const& in, int q, int t,
                                       sum (&sums)[pairs::rows][pairs::columns]) {
     constexpr int each = scratch::each;
     sum own{};
@@ -249,19 +225,21 @@ private:
       load(g, s.rows[1], in.train + t, in.last_train - t, first);
       g.sync();
       int const n = reader::parts % each == 0 ? each : min_of(each, reader::parts - first);
-      if constexpr (reader::uses_own_sums) {
+      if constexpr (uses_own_sums) {
         for (int p = 0; p < n && g.rank() < 2 * match_side; ++p) {
           part const& mine = s.rows[g.rank() / match_side][p][g.rank() % match_side];
-          reader::add(own, mine, mine);
+          reader::add(own, mine, counts_bits ? part{} : mine);
         }
       }
-      if constexpr (std::is_same<pairs, pairs_of_mma>::value) {
+      if constexpr (counts_bits) {
+        for (int p = 0; p < n; ++p) { multiply_bits(g, s, p, sums); }
+      } else if constexpr (std::is_same<pairs, pairs_of_mma>::value) {
         for (int p = 0; p < n; p += 2) { multiply_bytes(g, s, p, p + 1 < n, sums); }
       } else {
         for (int p = 0; p < n; ++p) { add_part(g, s, p, sums); }
       }
     }
-    if constexpr (reader::uses_own_sums) {
+    if constexpr (uses_own_sums) {
       if (g.rank() < 2 * match_side) { s.own[g.rank() / match_side][g.rank() % match_side] = own; }
       g.sync();
     }
@@ -307,6 +285,41 @@ private:
 #endif
     }
   }
+  /// The bits that both have in a part of all rows, 128 or 256 of them: m16n8k128 and m16n8k256,
+  /// .b1.
+  template <typename Group>
+  FT_HOST_DEVICE static void multiply_bits(Group g, scratch const& s, int p,
+                                           sum (&sums)[pairs::rows][pairs::columns]) {
+    constexpr bool wide = sizeof(part) == 32;
+    constexpr int second = wide ? 4 : 0;  // of the words of a part that a thread has
+    int const row = pairs::row(g.rank(), 0), word = g.rank() % 4;
+    part const& upper = s.rows[0][p][row];
+    part const& lower = s.rows[0][p][row + 8];
+    std::uint32_t const a[4] = {upper.words[word], lower.words[word], upper.words[word + second],
+                                lower.words[word + second]};
+    FT_UNROLL
+    for (int c = 0; c < pairs::columns; c += 2) {
+      part const& theirs = s.rows[1][p][pairs::share(g.rank()) * 32 + c * 4 + g.rank() % 32 / 4];
+      std::uint32_t const b[2] = {theirs.words[word], theirs.words[word + second]};
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+      if constexpr (wide) {
+        asm volatile(
+            "mma.sync.aligned.m16n8k256.row.col.s32.b1.b1.s32.and.popc "
+            "{%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, %3};"
+            : "+r"(sums[0][c]), "+r"(sums[0][c + 1]), "+r"(sums[1][c]), "+r"(sums[1][c + 1])
+            : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b[0]), "r"(b[1]));
+      } else {
+        asm volatile(
+            "mma.sync.aligned.m16n8k128.row.col.s32.b1.b1.s32.and.popc "
+            "{%0, %1, %2, %3}, {%4, %5}, {%6}, {%0, %1, %2, %3};"
+            : "+r"(sums[0][c]), "+r"(sums[0][c + 1]), "+r"(sums[1][c]), "+r"(sums[1][c + 1])
+            : "r"(a[0]), "r"(a[1]), "r"(b[0]));
+      }
+#else
+      static_cast<void>(a), static_cast<void>(b), static_cast<void>(sums);
+#endif
+    }
+  }
   /// Parts of 64 rows; instead of rows that are not there, the last one.
   template <typename Group>
   FT_HOST_DEVICE static void load(Group g, part (&to)[scratch::each][match_side + 1], D const* rows,
@@ -321,7 +334,7 @@ private:
     }
   }
   FT_HOST_DEVICE static sum own_sum(scratch const& s, int of, int row) {
-    if constexpr (reader::uses_own_sums) {
+    if constexpr (uses_own_sums) {
       return s.own[of][row];
     } else {
       static_cast<void>(s);
@@ -332,8 +345,8 @@ private:
   }
   /// Merges what the train rows of a tile found into what they found in the tiles before.
   template <typename Group>
-  FT_HOST_DEVICE static void keep_of_train(Group g, scratch& s, strip const& in, int q, int t,
-                                           one const (&found)[pairs::columns]) {
+  FT_HOST_DEVICE static void keep_of_train(Group g, scratch& s, strip_pair<D> const& in, int q,
+                                           int t, one const (&found)[pairs::columns]) {
     FT_UNROLL
     for (int c = 0; c < pairs::columns; ++c) {
       s.of_train[pairs::line(g.rank())][pairs::column(g.rank(), c)] = found[c];

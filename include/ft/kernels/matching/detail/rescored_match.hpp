@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file What a query row finds in shortlists: the rows that may be its nearest are compared again.
+#pragma once
+
+#include <cstddef>
+
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/bits.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/group.hpp"
+#include "ft/descriptors/descriptor_model.hpp"
+#include "ft/kernels/matching/detail/strips.hpp"
+#include "ft/kernels/matching/match_types.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+namespace detail {
+
+/// The strict distances of a query row, a warp together. Of each strip a lane has the shortlist.
+template <typename D>
+struct rescored_match {
+  static_assert(most_strips <= 32, "a lane for each strip");
+  descriptor_rows<D> const& query;
+  descriptor_rows<D> const& train;
+  strip_plan const& queries;
+  strip_plan const& trains;
+  match_workspace<float> const& work;
+  int own;  ///< the query row
+
+  /// The two nearest train rows. The distances of the two that have the least bounds are a limit: a
+  /// row whose bound is above it is farther than both. All others are compared.
+  template <typename Group>
+  FT_HOST_DEVICE two_nearest_rows<float> nearest(Group g) const {
+    auto kept = two_nearest_rows<float>::none();
+    float rest = no_distance<float>;
+    if (g.rank() < trains.used) {
+      std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(g.rank()) * work.queries + own;
+      kept = work.of_query[at];
+      rest = work.rest_of_query[at];
+    }
+    two_nearest_rows<float> const likely =
+        g.reduce(merge_nearest{}(bounded(kept.first), bounded(kept.second)), merge_nearest{});
+    one of_likely = one::none();
+    if (g.rank() < 2) {
+      of_likely = compared(own, (g.rank() == 0 ? likely.first : likely.second).index, true);
+    }
+    one const first{g.shuffle(of_likely.distance, 0), g.shuffle(of_likely.index, 0)};
+    one const second{g.shuffle(of_likely.distance, 1), g.shuffle(of_likely.index, 1)};
+    float const limit = max_of(first.distance, second.distance);
+    bool const any_of_strip = rest < no_distance<float> && rest <= limit;
+
+    auto best = two_nearest_rows<float>::none();
+    FT_NO_UNROLL
+    for (int k = 0; k < 2 && !any_of_strip; ++k) {
+      one const item = k == 0 ? kept.first : kept.second;
+      if (item.index == no_row || item.distance > limit) { continue; }
+      one const d = item.index == first.index    ? first
+                    : item.index == second.index ? second
+                                                 : compared(own, item.index, true);
+      best = merge_nearest{}(best, {d, one::none()});
+    }
+    for (unsigned left = g.ballot(any_of_strip); left != 0; left &= left - 1) {
+      int const strip = trailing_zeros(left);
+      FT_NO_UNROLL
+      for (int j = trains.begin(strip) + g.rank(); j < trains.end(strip); j += g.size()) {
+        best = merge_nearest{}(best, {compared(own, j, true), one::none()});
+      }
+    }
+    return g.reduce(best, merge_nearest{});
+  }
+
+  /// Whether no other query row is nearer to a train row than this one, or as near and lower.
+  template <typename Group>
+  FT_HOST_DEVICE bool is_nearest_of(Group g, nearest_row<float> of_train) const {
+    one const mine{of_train.distance, own};
+    auto kept = one::none();
+    float rest = no_distance<float>;
+    if (g.rank() < queries.used) {
+      std::ptrdiff_t const at =
+          static_cast<std::ptrdiff_t>(g.rank()) * work.trains + of_train.index;
+      kept = work.of_train[at];
+      rest = work.rest_of_train[at];
+    }
+    bool const any_of_strip = rest < no_distance<float> && rest <= mine.distance;
+    bool nearer = false;
+    if (!any_of_strip && kept.index != own && kept.distance <= mine.distance) {
+      nearer = compared(kept.index, of_train.index, false) < mine;
+    }
+    for (unsigned left = g.ballot(any_of_strip); left != 0; left &= left - 1) {
+      int const strip = trailing_zeros(left);
+      FT_NO_UNROLL
+      for (int i = queries.begin(strip) + g.rank(); i < queries.end(strip); i += g.size()) {
+        nearer = compared(i, of_train.index, false) < mine || nearer;
+      }
+    }
+    return !g.any(nearer);
+  }
+
+private:
+  using one = nearest_row<float>;
+  using reader = row_parts<D>;
+
+  FT_HOST_DEVICE static two_nearest_rows<float> bounded(one item) {
+    bool const has_bound = item.distance > no_bound;
+    return {has_bound ? item : one::none(), one::none()};
+  }
+  /// The distance of two rows, as distance_by_parts(), with the index of one of them. Several parts
+  /// are loaded at a time.
+  FT_HOST_DEVICE one compared(int i, int j, bool to_train) const {
+    if (i == no_row || j == no_row) { return one::none(); }
+    constexpr int each = min_of(8, reader::parts);
+    D const& a = query.row[i];
+    D const& b = train.row[j];
+    typename reader::sum ab{}, aa{}, bb{};
+    FT_NO_UNROLL
+    for (int p = 0; p < reader::parts; p += each) {
+      typename reader::part of_a[each], of_b[each];
+      FT_UNROLL
+      for (int k = 0; k < each; ++k) {
+        bool const there = reader::parts % each == 0 || p + k < reader::parts;
+        of_a[k] = there ? reader::part_of(a, p + k) : typename reader::part{};
+        of_b[k] = there ? reader::part_of(b, p + k) : typename reader::part{};
+      }
+      FT_UNROLL
+      for (int k = 0; k < each; ++k) {
+        if (reader::parts % each != 0 && p + k >= reader::parts) { continue; }
+        reader::add(ab, of_a[k], of_b[k]);
+        if constexpr (reader::uses_own_sums) {
+          reader::add(aa, of_a[k], of_a[k]);
+          reader::add(bb, of_b[k], of_b[k]);
+        }
+      }
+    }
+    float const d = usable_distance(reader::distance_of(ab, aa, bb));
+    return d < no_distance<float> ? one{d, to_train ? j : i} : one::none();
+  }
+};
+
+}  // namespace detail
+
+}  // namespace FT_ABI
+}  // namespace ft

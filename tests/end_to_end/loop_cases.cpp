@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+// Loops where they must not be closed, starts in a loaded map, and times beside large maps, on
+// rendered walls. On a GPU where nvcc compiles it (-x cu), else on the host. Rows of JSON; what was
+// not as wanted goes to stderr, one line each.
+//
+//     loop_cases check                       a few: fails with a wrong loop, or a start not found
+//     loop_cases trials COUNT JOBS [KIND]    of kinds 0, 1 a third each, of 2, 3 a sixth; or of one
+//     loop_cases starts COUNT JOBS
+//     loop_cases flat FRAMES MS KEYFRAMES... a frame each MS milliseconds; 0: without loops
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <string>
+
+#include "tests/end_to_end/loops/flat.hpp"
+#include "tests/end_to_end/loops/starts.hpp"
+#include "tests/end_to_end/loops/trials.hpp"
+
+namespace {
+
+/// Calls run(exec) with an executor of its own: a thread, or a stream.
+struct executor_maker {
+  template <typename Run>
+  void operator()(Run const& run) const {
+#if defined(__CUDACC__)
+    ft::stream const own;
+    run(ft::cuda_exec(own.get()));
+#else
+    run(ft::host_exec(1));
+#endif
+  }
+};
+
+int usage() {
+  std::fputs(
+      "loop_cases check\nloop_cases trials|starts COUNT JOBS\nloop_cases flat FRAMES MS "
+      "KEYFRAMES...\n",
+      stderr);
+  return EXIT_FAILURE;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    std::string const what = argc > 1 ? argv[1] : "";
+    if (what == "check") {
+      bool const right = loop_cases::run_trials(6, 2, executor_maker()) == 0 &&
+                         loop_cases::run_starts(2, 2, executor_maker()) == 0;
+      return right ? EXIT_SUCCESS : EXIT_FAILURE;
+    }
+    if (argc < 4) { return usage(); }
+    int const count = std::atoi(argv[2]), jobs = std::atoi(argv[3]);
+    if (what == "trials" && argc <= 5) {
+      loop_cases::run_trials(count, jobs, executor_maker(), argc == 5 ? std::atoi(argv[4]) : -1);
+    } else if (what == "starts" && argc == 4) {
+      loop_cases::run_starts(count, jobs, executor_maker());
+    } else if (what == "flat" && argc > 4) {
+      for (int i = 4; i < argc; ++i) {
+        soak_scene::on_backend([&](auto const& exec) {
+          loop_cases::run_flat(exec, std::atoi(argv[i]), count, jobs);
+          return EXIT_SUCCESS;
+        });
+      }
+    } else {
+      return usage();
+    }
+    return EXIT_SUCCESS;
+  } catch (std::exception const& e) {
+    std::fprintf(stderr, "loop_cases: %s\n", e.what());
+    return EXIT_FAILURE;
+  }
+}

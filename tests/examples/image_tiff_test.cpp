@@ -208,7 +208,9 @@ TEST(image_tiff, says_what_is_taken) {
   refused({2, 2, 8, 2}, "2 samples a pixel");
   refused({2, 2, 8, 1, 3}, "colours of type 3");
   refused({2, 2, 8, 1, 1, 1, 1, 0, false, {{322, 16}}}, "tiles");
-  refused({2, 2, 8, 1, 1, 1, 1, 0, false, {{284, 2}}}, "planes");
+  refused({2, 2, 8, 1, 1, 1, 1, 0, false, {{266, 2}}}, "lowest bit");
+  refused({1, 1, 8, 3, 2, 1, 1, 0, false, {{284, 2}}}, "planes");
+  refused({2, 2, 8, 1, 1, 1, 2}, "predictor and no LZW");
   refused({2, 2, 8, 1, 1, 1, 1, 0, false, {{339, 2}}}, "signs");
   refused({2, 2, 8, 1, 1, 1, 3}, "predictor 3");
   refused({2, 2, 8, 1, 1, 1, 1, 0, false, {{278, 0}}}, "damaged");

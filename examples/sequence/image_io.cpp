@@ -126,13 +126,10 @@ image read_image(std::string const& path, int bits) {
   fail_unknown(path, bytes);
 }
 
-int read_image_bits(std::string const& path) {
+int largest_sample_of_16_bits(std::string const& path) {
   depth_image samples;
-  if (!read_16_bits(path, read_file(path), samples)) { return 0; }
-  int const largest = *std::max_element(samples.pixels.begin(), samples.pixels.end());
-  int bits = 10;
-  while (bits < 16 && largest >> bits != 0) { bits += 2; }
-  return bits;
+  if (!read_16_bits(path, read_file(path), samples)) { return -1; }
+  return *std::max_element(samples.pixels.begin(), samples.pixels.end());
 }
 
 depth_image read_depth_image(std::string const& path) {

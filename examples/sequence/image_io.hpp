@@ -22,9 +22,9 @@ namespace seq {
 ///   16384 a side
 image read_image(std::string const& path, int bits = 16);
 
-/// The fewest of 10, 12, 14 and 16 bits that hold the samples of a PNG or TIFF of one channel with
-/// 16 bits; 0 for any other image. @throws seq::error as read_image
-int read_image_bits(std::string const& path);
+/// The largest sample of a PNG or TIFF of one channel with 16 bits; -1 for any other image.
+/// @throws seq::error as read_image
+int largest_sample_of_16_bits(std::string const& path);
 
 /// Reads a depth image: a PNG or TIFF of one channel with 16 bits. @throws seq::error as
 /// read_image, and for any other kind of image

@@ -19,6 +19,7 @@ enum tag : unsigned {
   bits_of_samples = 258,
   compression = 259,
   photometric = 262,
+  fill_order = 266,
   strip_offsets = 273,
   samples_of_pixel = 277,
   rows_of_strip = 278,
@@ -128,8 +129,10 @@ layout read_layout(std::string const& path, directory const& d) {
     refuse("with compression " + std::to_string(l.packing));
   }
   if (d.value(tile_width, 0) != 0) { refuse("of tiles"); }
-  if (d.value(planar, 1) != 1) { refuse("with planes"); }
+  if (l.channels > 1 && d.value(planar, 1) != 1) { refuse("with planes"); }
   if (d.value(predictor, 1) > 2) { refuse("with predictor 3"); }
+  if (l.differences && l.packing != lzw) { refuse("with a predictor and no LZW"); }
+  if (d.value(fill_order, 1) != 1) { refuse("with the lowest bit first"); }
   if (d.value(sample_format, 1) != 1) { refuse("of numbers with signs or fractions"); }
   l.rows = std::min(d.value(rows_of_strip, l.height), l.height);
   l.offsets = d.values(strip_offsets);
@@ -222,7 +225,10 @@ private:
 /// The bytes of all rows.
 bytes_of unpacked(bytes_of const& b, layout const& l, directory const& d) {
   bytes_of out;
+  std::size_t left = b.size();  // strips that overlap would grow a short file without bound
   for (std::size_t s = 0; s < l.offsets.size(); ++s) {
+    if (l.bytes[s] > left) { d.damaged(); }
+    left -= l.bytes[s];
     std::size_t const rows = std::min(l.rows, l.height - s * l.rows);
     std::size_t const most = out.size() + rows * l.row_bytes();
     if (l.offsets[s] > b.size() || b.size() - l.offsets[s] < l.bytes[s]) { d.damaged(); }

@@ -231,27 +231,38 @@ void sequence::impl::check_times() {
                      " s: are the time stamps in another unit?");
 }
 
-/// Sensors of 10 and 12 bits are often stored in 16 without being scaled.
+/// Sensors of 10 to 14 bits are often stored in 16 without being scaled. That is said, not assumed:
+/// the images that were not looked at may be brighter.
 void sequence::impl::set_image_bits(open_options const& options) {
-  image_bits = options.image_bits;
-  if (image_bits > 0) { return; }
-  image_bits = 16;
-  constexpr std::size_t looked_at = 8;
-  std::size_t const step = std::max<std::size_t>(1, frames.size() / looked_at);
-  int most = 0;
+  if (options.image_bits > 0) {
+    image_bits = options.image_bits;
+    return;
+  }
+  constexpr std::size_t most_frames = 8;
+  std::size_t const step = (frames.size() + most_frames - 1) / most_frames;
+  int largest = -1;
+  int looked_at = 0;
   for (std::size_t i = 0; i < frames.size(); i += step) {
     std::vector<std::string> files = frames[i].more;
     files.push_back(frames[i].left);
     if (kind == camera_kind::stereo) { files.push_back(frames[i].second); }
     for (std::string const& file : files) {
-      if (!file.empty()) { most = std::max(most, read_image_bits(file)); }
+      if (file.empty()) { continue; }
+      try {
+        largest = std::max(largest, largest_sample_of_16_bits(file));
+        ++looked_at;
+      } catch (error const&) {}  // load() says it
     }
-    if (most == 0 || most == 16) { return; }
+    bool const others = looked_at > 0 && largest < 0;
+    if (others || largest >> 14 > 0) { return; }
   }
-  image_bits = most;
-  warnings.push_back("images of 16 bits whose samples need " + std::to_string(most) +
-                     ": taken as images of " + std::to_string(most) +
-                     " bits; image_bits (--image-bits) says otherwise");
+  if (largest <= 0) { return; }
+  int bits = 10;
+  while (largest >> bits != 0) { bits += 2; }
+  warnings.push_back("images of 16 bits are dark: the largest sample of " +
+                     std::to_string(looked_at) + " of them is " + std::to_string(largest) +
+                     "; does the camera have " + std::to_string(bits) +
+                     " bits? image_bits (--image-bits) says it");
 }
 
 sequence::sequence(std::unique_ptr<impl> p) : impl_(std::move(p)) {}
@@ -300,11 +311,11 @@ sequence sequence::open(std::string const& directory, open_options const& option
   p->from = std::move(source);
   p->frames = std::move(files.frames);
   p->check_times();
-  p->set_image_bits(options);
   p->unpaired = files.unpaired;
   if (options.max_frames > 0 && p->frames.size() > static_cast<std::size_t>(options.max_frames)) {
     p->frames.resize(static_cast<std::size_t>(options.max_frames));
   }
+  p->set_image_bits(options);
   return sequence(std::move(p));
 }
 

@@ -61,8 +61,8 @@ struct open_options {
   /// Metres per unit of the depth images, 1e-9 to 1e3; 0 = as the calibration says (camera.txt, or
   /// a settings file's RGBD.DepthMapFactor), else 1/5000, as TUM RGB-D has it.
   double depth_unit = 0;
-  /// Bits that hold the samples of 16-bit images of one channel, 8 to 16; 0 = the fewest of 10, 12,
-  /// 14 and 16 that hold those of eight images of each camera. Depth images have all 16.
+  /// Bits that hold the samples of 16-bit images of one channel, 8 to 16; 0 = 16, with a warning
+  /// where up to eight images of each camera have none of 2^14 or more. Depth images have all 16.
   int image_bits = 0;
   /// Images a second, 1e-3 to 1e5, of plain folders whose file names are no times; 0 = the names,
   /// or the file that has the times, say it.

@@ -29,8 +29,7 @@ void add_input(CLI::App& app, arguments& a, std::string& folder) {
                  "file names, or times.txt");
   app.add_option("--times", a.times, "file with the time of each image, of folders of images");
   app.add_option("--image-bits", a.image_bits,
-                 "bits that hold the samples of grey images of 16 bits; default: the fewest of 10, "
-                 "12, 14 and 16 that hold those of eight images")
+                 "bits that hold the samples of grey images of 16 bits; default: 16")
       ->check(CLI::Range(8, 16));
   app.add_option("--max-time-difference", a.max_time_difference_ms,
                  "how far the time stamps of the two images of a frame may be apart, in ms; "

@@ -35,7 +35,7 @@ struct arguments {
   double near_depth = 0;
   double fps = 0;                                ///< images a second; 0 = the recording has times
   std::optional<double> max_time_difference_ms;  ///< else as the reader has it
-  int image_bits = 0;                            ///< of 16-bit images; 0 = found
+  int image_bits = 0;                            ///< of 16-bit images; 0 = 16
   double depth_unit = 0;                         ///< metres; 0 = as the recording says
   double min_depth = 0;                          ///< metres
   double max_depth = std::numeric_limits<double>::infinity();  ///< metres

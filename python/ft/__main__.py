@@ -76,8 +76,7 @@ def parser() -> argparse.ArgumentParser:
                               "camera, of a pair the left one), rgbd (with depth images), rectified or fisheye (a pair), mixed "
                               "(all cameras of a rig, of any lenses, as they are); monocular is mono")
     command.add_argument("--image-bits", type=count(8, 16), metavar="BITS",
-                         help="that hold the samples of grey images of 16 bits; default: the fewest of 10, 12, 14 and 16 that "
-                              "hold those of eight images")
+                         help="that hold the samples of grey images of 16 bits; default: 16")
     command.add_argument("--max-time-difference", type=number(0, 1e4), metavar="MS",
                          help="how far the time stamps of the two images of a frame may be apart; default: 1 for a pair, 20 "
                               "for depth images")

@@ -38,16 +38,27 @@ class Frames:
 
     def __init__(self) -> None:
         self._to: dict[str, dict[str, Motion]] = {}  # [a][b] maps points of b to a
+        self.warnings: list[str] = []
 
     def add(self, parent: str, child: str, T_parent_child: Motion) -> None:
+        """Warns where the frames are joined already, by another motion: of 1 mm or 1 mrad. The later one is taken."""
+        before = self._to.get(parent, {}).get(child)
+        if before is not None and np.array_equal(before, T_parent_child):
+            return  # static transforms are sent again and again
+        before = self.find(parent, child)
+        if before is not None and np.abs(before - T_parent_child).max() > 1e-3:
+            warning = f"/tf_static places '{child}' in '{parent}' in two ways that disagree, the later one is taken"
+            if warning not in self.warnings:
+                self.warnings.append(warning)
         self._to.setdefault(parent, {})[child] = T_parent_child
         self._to.setdefault(child, {})[parent] = np.linalg.inv(T_parent_child)
 
     def find(self, to: str, source: str) -> Optional[Motion]:
-        """(4, 4) that maps points of the frame `source` to the frame `to`; None where nothing joins them."""
+        """(4, 4) that maps points of the frame `source` to the frame `to`; None where nothing joins them, or a name
+        is empty."""
         to, source = to.lstrip("/"), source.lstrip("/")
-        if to == source and to:
-            return np.eye(4)
+        if not to or not source:
+            return None
         found = {to: np.eye(4)}
         ahead = [to]
         for frame in ahead:  # grows

@@ -243,6 +243,16 @@ def turned(stream: Stream, T_camera_other: Motion) -> Motion:
     return np.asarray(T @ T_camera_other)
 
 
+def why_not_joined(left: Stream, right: Stream, frames: Frames) -> str:
+    if not left.frame or not right.frame:
+        return "images that name no frame have no place in /tf_static"
+    if left.frame.lstrip("/") == right.frame.lstrip("/"):
+        return f"the images of both cameras have the same frame '{left.frame}'"
+    if frames.find(right.frame, left.frame) is not None:
+        return f"/tf_static has the frames '{left.frame}' and '{right.frame}' at one point"
+    return f"/tf_static does not join the frames '{left.frame}' and '{right.frame}'"
+
+
 def write_calibration(made: Unpacked, chosen: list[Stream], frames: Frames, imu_frame: str) -> bool:
     """Of the camera_info of the chosen topics, where all have one of their own; what they do not say of the places of cameras
     and the IMU is that of /tf_static. Returns whether the place of the IMU is in it."""
@@ -267,11 +277,12 @@ def write_calibration(made: Unpacked, chosen: list[Stream], frames: Frames, imu_
         write_chain(made.folder / "camchain-imucam.yaml", map(chain_camera, chosen), T_right_left,
                     None if T_left_imu is None else turned(left, T_left_imu))
         made.calibration += " and /tf_static"
+        made.warnings += frames.warnings
         return T_left_imu is not None
     if not placed:
-        raise RuntimeError(f"{made.source}: P of {right.info_topic} has no baseline, and /tf_static does not join the frames "
-                           f"'{left.frame}' and '{right.frame}': where is the right camera? A calibration (calibration, "
-                           "--calibration) says it; topics (--topics) names one camera to be taken alone")
+        raise RuntimeError(f"{made.source}: P of {right.info_topic} has no baseline, and {why_not_joined(left, right, frames)}: "
+                           "where is the right camera? A calibration (calibration, --calibration) says it; topics (--topics) "
+                           "names one camera to be taken alone")
     if len(chosen) == 2:
         write_info(made.folder / "left.yaml", left)
         write_info(made.folder / "right.yaml", right)

@@ -237,8 +237,8 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt; a bag has
     its camera_info. The calibration of a video is the one beside it; that of a single video is of one camera. fps, times: of plain folders, images a second, or a file with a time a line; None and "" = the file
     names or times.txt say them. topics: of a bag, one with images, left and right, or colour and depth; empty = found by
-    type and name. image_bits: 8 to 16, that hold the samples of grey PNG and TIFF of 16 bits; None = the fewest of 10, 12, 14
-    and 16 that hold those of eight images. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
+    type and name. image_bits: 8 to 16, that hold the samples of grey PNG and TIFF of 16 bits; None = 16, with a
+    warning where up to eight images of each camera need 14 or fewer. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
     also reads mav0/imu0, imu0 or imu.csv, or a bag's sensor_msgs/Imu, if the calibration says where it is (Kalibr's
     chain). rig: auto (what the folder holds), stereo, mono (the left camera alone), rgbd, or mixed: a pair and all cameras beside it (cam2 ..., of
     EuRoC's layout or of folders with Kalibr's chain), of any lenses, as they are; auto and stereo take the pair alone.

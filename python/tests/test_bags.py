@@ -12,7 +12,7 @@ from conftest import BASELINE, CAMERA, HEIGHT, WIDTH, Walk
 from test_sequences import write_png
 
 import ft
-from ft import bag_images, bags
+from ft import bag_frames, bag_images, bags
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: no bags are read")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
@@ -231,14 +231,32 @@ def test_static_transforms_say_where_cameras_and_imu_are(kind, rectified, walk, 
     assert "/tf_static" in sequence.describe()[0][1]
 
 
-def test_without_transforms_a_raw_pair_is_refused(walk, tmp_path):
+@pytest.mark.parametrize("name_of_frame, why", [
+    ("{}_optical", "does not join the frames 'left_optical' and 'right_optical'"), ("both", "have the same frame 'both'"),
+    ("", "images that name no frame"), ("{}_point", "'left_point' and 'right_point' at one point")])
+def test_without_transforms_a_raw_pair_is_refused(name_of_frame, why, walk, tmp_path):
     bag = Bag(tmp_path, "mcap")
     left, right, t = walk.frame(0)
     for name, image in (("left", left), ("right", right)):
         bag.info(f"/{name}/camera_info", 0.0, (0.01, 0.0, 0.0, 0.0), FIRST_NS, "equidistant", False)
-        bag.image(f"/{name}/image_raw", image, FIRST_NS, frame=f"{name}_optical")
-    with pytest.raises(RuntimeError, match="does not join the frames 'left_optical' and 'right_optical'.*--calibration"):
+        bag.image(f"/{name}/image_raw", image, FIRST_NS, frame=name_of_frame.format(name))
+    bag.static(("left_point", "right_point", motion(0, 0, 0)))
+    with pytest.raises(RuntimeError, match=f"{why}.*--calibration"):
         ft.read_sequence(bag.close())
+
+
+def test_frames_that_are_placed_twice_warn():
+    frames = bag_frames.Frames()
+    frames.add("body", "left", motion(0.1, 0, 0))
+    frames.add("body", "left", motion(0.1, 0, 0))
+    frames.add("mount", "left", motion(0, 0.2, 0))  # a second parent, joined by nothing else
+    frames.add("body", "mount", motion(0.1, -0.2, 0))  # closes the loop
+    assert not frames.warnings
+    frames.add("body", "right", motion(0.2, 0, 0))
+    frames.add("mount", "right", motion(0.3, 0, 0))  # by the body it is (0.1, 0.2, 0)
+    assert len(frames.warnings) == 1 and "'right' in 'mount' in two ways" in frames.warnings[0]
+    assert frames.find("", "") is None and frames.find("body", "/") is None
+    assert np.array_equal(frames.find("body", "/body"), np.eye(4))
 
 
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])

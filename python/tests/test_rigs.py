@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 from conftest import BASELINE, CAMERA, FAR, HEIGHT, NEAR, WIDTH, Walk
+from test_sequences import write_png
 
 import ft
 
@@ -235,3 +236,32 @@ def test_what_is_refused_is_found_too():
             ft.check_calibration(ft.RectifiedPair(CAMERA, BASELINE), *bad)
     with pytest.raises(ValueError, match="rig"):
         ft.check_calibration(None, WIDTH, HEIGHT)
+
+
+def test_a_recording_of_a_mixed_rig_is_tracked(walk, tmp_path):
+    """A pair, and a camera above it of another model, which misses an image."""
+    frames, missing = 8, 5
+    place = "[[1, 0, 0, {}], [0, 1, 0, {}], [0, 0, 1, 0], [0, 0, 0, 1]]"
+    chain = ""
+    for c, (model, numbers, before) in enumerate((("none", "[]", None), ("none", "[]", (-BASELINE, 0)),
+                                                  ("radtan", "[0, 0, 0, 0]", np.subtract((BASELINE, 0), ABOVE)))):
+        fx, fy, cx, cy = CAMERA
+        chain += (f"cam{c}:\n  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {cx}, {cy}]\n  distortion_model: {model}\n"
+                  f"  distortion_coeffs: {numbers}\n  resolution: [{WIDTH}, {HEIGHT}]\n")
+        chain += "" if before is None else f"  T_cn_cnm1: {place.format(*before)}\n"
+        (tmp_path / f"cam{c}").mkdir()
+    (tmp_path / "camchain.yaml").write_text(chain)
+    for i in range(frames):
+        for c, image in enumerate([*walk.images_at(i, (0, 0)), *walk.images_at(i, ABOVE, pair=False)]):
+            if (c, i) != (2, missing):
+                write_png(tmp_path / f"cam{c}" / f"{1_000_000_000 + 50_000_000 * i}.png", image)
+    with pytest.warns(UserWarning, match="1 of 8 frames have no image of cam2"):
+        sequence = ft.read_sequence(tmp_path, rig="mixed")
+    assert isinstance(sequence.rig, ft.MultiRig) and len(sequence.rig.cameras) == 3 and len(sequence) == frames
+    odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, features=400, device="host")
+    for i, frame in enumerate(sequence):
+        assert len(frame.images) == 3 and frame.images[2].any() == (i != missing)
+        pose = odometry.track(*frame.images, frame.time_ns)
+        assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+        assert set(pose.warnings) == ({"dark"} if i == missing else set())
+    assert {0, 2} <= set(odometry.keypoints()["camera"])

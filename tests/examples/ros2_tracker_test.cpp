@@ -167,7 +167,21 @@ TEST(Health, SaysWhatWasSinceTheLastReport) {
   counter.take({}, 5);
   EXPECT_EQ(counter.report().level, ft_ros2::health::error);
   counter.refuse("an image has another size");
-  EXPECT_EQ(counter.report().message, "an image has another size");
+  ft_ros2::health const refused = counter.report();
+  EXPECT_EQ(refused.message, "an image has another size");
+  EXPECT_EQ(refused.level, ft_ros2::health::error);
+  counter.refuse("an image has another size");
+  counter.take(good, 5);
+  ft_ros2::health const beside = counter.report();
+  EXPECT_EQ(beside.message, "an image has another size");
+  EXPECT_EQ(beside.level, ft_ros2::health::warning);
+  estimate rejected = good;
+  rejected.imu_warning = "samples are missing";
+  for (int i = 0; i < 3; ++i) { counter.take(rejected, 5); }
+  EXPECT_EQ(value(counter.report(), "warning"), "samples are missing");
+  rejected.warning = "blurred: why";
+  for (int i = 0; i < 2; ++i) { counter.take(rejected, 5); }
+  EXPECT_EQ(value(counter.report(), "warning"), "blurred: why; samples are missing");
   EXPECT_EQ(counter.report().message, "no images");
 }
 

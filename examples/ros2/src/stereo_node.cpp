@@ -153,7 +153,9 @@ private:
   /// Makes the tracker once all is known that it needs. @return whether there is one now
   bool begin(Image const& left) {
     if (!left_info_ || !right_info_ || (use_imu_ && imu_id_.empty())) {
-      warn("waiting for camera_info of both cameras, and for the IMU if there is one");
+      char const* const why = "waiting for camera_info of both cameras, and for the IMU if used";
+      health_.refuse(why);
+      warn(why);
       return false;
     }
     std::string const& camera = left.header.frame_id;

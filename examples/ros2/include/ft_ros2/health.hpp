@@ -26,17 +26,18 @@ public:
     tracked_ += e.tracked ? 1 : 0;
     ms_ += ms;
     last_ = e;
-    if (!e.warning.empty()) { warning_ = e.warning; }
-    if (!e.imu_warning.empty()) { warning_ += (warning_.empty() ? "" : "; ") + e.imu_warning; }
+    std::string text = e.warning;
+    if (!e.imu_warning.empty()) { text += (text.empty() ? "" : "; ") + e.imu_warning; }
+    if (!text.empty()) { warning_ = text; }
   }
-  /// A frame that was refused, such as one of another size.
+  /// A frame that was not tracked, such as one of another size or before camera_info.
   void refuse(std::string const& why) { refused_ = why; }
 
   /// Of the frames since the last report.
   health report() {
     health h;
     if (!refused_.empty()) {
-      h = {health::error, refused_, {}};
+      h = {tracked_ > 0 ? health::warning : health::error, refused_, {}};
     } else if (frames_ == 0) {
       h = {health::error, "no images", {}};
     } else if (tracked_ == 0) {

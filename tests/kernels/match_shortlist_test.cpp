@@ -156,7 +156,7 @@ double check_bounds(std::vector<D> const& rows) {
         magnitude += std::abs(bounds[i].rounded[k] * bounds[j].rounded[k]);
       }
       // All that tensor cores are allowed to err.
-      double const error = 1.0625 * (D::size + 3) * std::pow(2.0, -22) * magnitude;
+      double const error = 1.125 * (D::size + 3) * std::pow(2.0, -22) * magnitude;
       for (double const p : {product - error, product, product + error}) {
         float const bound = limit::below(static_cast<float>(p), bounds[i].row, bounds[j].row);
         EXPECT_FALSE(std::isnan(bound));
@@ -273,6 +273,27 @@ TYPED_TEST(MatchShortlist, OfHalvesIsThatOfAPlainLoop) {
                                                                              seed);
     matches_are_those_of_a_plain_loop<ft::float16, 256, ft::dot_product>(backend.exec, 130, 70,
                                                                          seed);
+  }
+}
+
+TYPED_TEST(MatchShortlist, OfACountBelowTheCapacityWithAllTests) {
+  TypeParam backend;
+  using D = ft::vector_descriptor<float, 128>;
+  for (kind const k : all_kinds) {
+    SCOPED_TRACE(name_of(k));
+    hard_rows<float, 128, ft::squared_distance> rows(k, 4);
+    auto query = rows.draw(130);
+    auto train = rows.draw(160);
+    ft::match_tests<float> tests;
+    tests.mutual = true;
+    tests.ratio_num = 9;
+    tests.ratio_den = 10;
+    auto const got = test::matches_by(backend.exec, query, train, tests, {100, 100});
+    query.resize(100);
+    train.resize(100);
+    auto want = test::plain_matches(query, train, tests);
+    want.resize(130, {-1, -1, -1, 0, 0});
+    expect_same<D>(got, want);
   }
 }
 

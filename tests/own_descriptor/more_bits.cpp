@@ -24,4 +24,26 @@ answers track_more_bits(given_walk const& given, std::string const& orb_map) {
   });
 }
 
+#if !defined(__CUDACC__)
+int keypoints_of_a_frame(int count, float const* positions, std::int64_t time_ns) {
+  std::vector<more_bits> const rows(static_cast<std::size_t>(count));
+  more_bits const* const descriptors = rows.data();
+
+  auto const rig = ft::rectified_rig::make({435.0f, 435.0f, 367.0f, 252.0f}, 0.11f);  // pixels, m
+  ft::odometry_params params;
+  params.orb.width = 752;
+  params.orb.height = 480;
+  params.own_features = true;
+  ft::odometry odo(ft::host_exec(), rig, params, 1, ft::own_features{});
+
+  ft::given_features frame;  // and frame.right likewise, or frame.left.right_x
+  frame.left.count = count;
+  frame.left.positions = positions;      // [count][2] pixels
+  frame.left.descriptors = descriptors;  // [count], more_bits
+  frame.left.descriptor_bytes = sizeof(more_bits);
+  ft::tracking const pose = odo.track(frame, time_ns);
+  return pose.keypoints;
+}
+#endif
+
 }  // namespace own_descriptor_test

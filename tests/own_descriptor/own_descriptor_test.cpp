@@ -188,4 +188,11 @@ TEST(search_scale, of_rows_that_do_not_keep_the_rules_stays_in_its_range) {
   EXPECT_EQ(bits_scale<1024>::of(std::numeric_limits<int>::min()), 0);
 }
 
+#if !defined(__CUDACC__)
+TEST(own_descriptor, a_frame_may_have_a_left_image_alone) {
+  float const positions[] = {100, 100, 200, 150};
+  EXPECT_EQ(keypoints_of_a_frame(2, positions, 1), 2);
+}
+#endif
+
 }  // namespace own_descriptor_test

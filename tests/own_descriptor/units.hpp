@@ -3,6 +3,7 @@
 /// of ft/types alone, which are the same in all.
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -32,5 +33,8 @@ answers track_plain_bits(given_walk const& given, std::string const& orb_map);
 answers track_more_bits(given_walk const& given, std::string const& orb_map);
 /// 128 numbers of int8: a camera with depths.
 answers track_small_numbers(given_walk const& given, std::string const& orb_map);
+
+/// By an odometry of 488 bits, on the host, of a frame whose right image has none.
+int keypoints_of_a_frame(int count, float const* positions, std::int64_t time_ns);
 
 }  // namespace own_descriptor_test

@@ -60,7 +60,7 @@ public:
 
 private:
   void arrays() const {
-    if (of_.descriptor_bytes != static_cast<int>(sizeof(descriptor))) {
+    if (of_.count > 0 && of_.descriptor_bytes != static_cast<int>(sizeof(descriptor))) {
       refuse("descriptor_bytes is " + std::to_string(of_.descriptor_bytes) + ", must be " +
              std::to_string(sizeof(descriptor)));
     }

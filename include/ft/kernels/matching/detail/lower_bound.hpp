@@ -18,18 +18,17 @@
 /// **Its proof.** Write u = 2^-22, S = |a|^2 + |b|^2, and take the squared distance; all terms of
 /// the other one are at most half as large, but for the 1.
 /// - a.b - a'.b' = a.(b - b') + (a - a').b' is at most E, by Cauchy and Schwarz: that is 2 E.
-/// - p: PTX says that sums have single precision at least, and nothing of their rounding.
-/// Truncation
-///   errs by 2 u / 4 of the magnitudes of what is added; u is allowed, twice as much. There are N +
-///   3 additions, and one more for each 16. The magnitudes are at most |a'| |b'| <= 1.01 S / 2: 2
-///   * 1.0625 * 1.01 (N + 3) u S / 2 < (1.08 N + 4) u S. Where a number that is not normal counts
+/// - p: PTX says that sums have single precision at least, and nothing of their rounding. Truncation
+///   errs by u / 2 of the magnitudes of what is added; u is allowed, twice as much. There are N + 3
+///   additions, and one more for each 8. The magnitudes are at most |a'| |b'| <= 1.01 S / 2:
+///   2 * 1.125 * 1.01 (N + 3) u S / 2 < (1.14 N + 4) u S. Where a number that is not normal counts
 ///   as 0, it is in e.
 /// - s_a + s_b: sums of N products in floats, N u / 4 * S.
 /// - The strict distance has four sums of N / 4 + 1 terms. Of `float`: (N / 4 + 6) u / 4 of the
 ///   distance, which is at most 2 S. Of `float16`, of three such sums, no more. (N / 8 + 3) u S.
 /// - The bound's own roundings: four of u / 4 * 2.1 S, 2.1 u S.
 ///
-/// Together less than (1.5 N + 9.2) u S, and k S = (2 N + 16) u S. What second orders add is below
+/// Together less than (1.52 N + 9.2) u S, and k S = (2 N + 16) u S. What second orders add is below
 /// N u < 0.4 % of each, and the squares s are as exact; the 1.01 hold that, too. 2^-50: squares
 /// that underflow change l and e by less than 2^-66, and products that underflow change a sum by
 /// less than 2^-111, while E is 2^-99 at least.

@@ -75,6 +75,8 @@ struct shortlist_scratch {
   float rest_of_train[pairs_of_mma::lines][match_side + 4];
 };
 
+static_assert(sizeof(shortlist_scratch) <= 47 * 1024, "static shared memory of a block");
+
 /// Tiles of a strip of query rows and a strip of train rows, by the threads of a block.
 template <typename D>
 struct shortlist_tiles {

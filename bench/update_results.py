@@ -304,7 +304,7 @@ def places():
 LOOPS = "loops_cases_h100.json"
 
 
-def said_of(record):
+def measured_on(record):
     """Where it was measured, and before which change, if it was."""
     machine = record["machine"]
     line = f"{machine.get('gpu') or machine['processor']}, commit {record['commit']}"
@@ -318,13 +318,13 @@ def walk(name):
 
 def loop_trials():
     record, rows = tables_of(LOOPS, "trials")[-1]
-    lines = [said_of(record), "", "| walls | trials | loops | wrong | revisits found |", "|---|---:|---:|---:|---:|"]
+    lines = [measured_on(record), "", "| walls | trials | loops | wrong | revisits found |", "|---|---:|---:|---:|---:|"]
     return lines + [f"| {r['what']} | {r['trials']} | {r['loops']} | {r['wrong_loops']} | {r['revisits_found']} |" for r in rows]
 
 
 def beside_keyframes():
     record, rows = tables_of(LOOPS, "flat")[-1]
-    lines = [said_of(record), "", "| keyframes for loops | p50, us | p99, us | most, us | device, MB |", "|---:|---:|---:|---:|---:|"]
+    lines = [measured_on(record), "", "| keyframes for loops | p50, us | p99, us | most, us | device, MB |", "|---:|---:|---:|---:|---:|"]
     return lines + [f"| {r['keyframes'] or 'without loops'} | {r['p50_us']:.0f} | {r['p99_us']:.0f} | {r['max_us']:.0f} | {r['device_mb']:.0f} |" for r in rows]
 
 

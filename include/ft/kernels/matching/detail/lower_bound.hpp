@@ -18,7 +18,8 @@
 /// **Its proof.** Write u = 2^-22, S = |a|^2 + |b|^2, and take the squared distance; all terms of
 /// the other one are at most half as large, but for the 1.
 /// - a.b - a'.b' = a.(b - b') + (a - a').b' is at most E, by Cauchy and Schwarz: that is 2 E.
-/// - p: PTX says that sums have single precision at least, and nothing of their rounding. Truncation
+/// - p: PTX says that sums have single precision at least, and nothing of their rounding.
+/// Truncation
 ///   errs by u / 2 of the magnitudes of what is added; u is allowed, twice as much. There are N + 3
 ///   additions, and one more for each 8. The magnitudes are at most |a'| |b'| <= 1.01 S / 2:
 ///   2 * 1.125 * 1.01 (N + 3) u S / 2 < (1.14 N + 4) u S. Where a number that is not normal counts

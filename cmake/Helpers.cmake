@@ -21,7 +21,8 @@ if((FT_FAST_COMPILE OR FT_SANITIZE) AND CMAKE_CXX_COMPILER_ID MATCHES "GNU|Clang
     int main() { return __builtin_cpu_supports(\"avx2\") && __builtin_cpu_supports(\"popcnt\") ? 0 : 1; }"
     FT_HAS_WIDE_VECTORS)
   if(FT_HAS_WIDE_VECTORS)
-    set(ft_processor_options -mavx2 -mpopcnt)
+    # Eigen's types lie in memory as without AVX: programs link libraries, and units of their own, that have none.
+    set(ft_processor_options -mavx2 -mpopcnt -DEIGEN_MAX_ALIGN_BYTES=16)
   endif()
 endif()
 

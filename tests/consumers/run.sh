@@ -23,7 +23,7 @@ if ft_find_nvcc; then cuda=ON; fi
 fast=
 host_flags="-O0 -DNDEBUG"
 if grep -q '^FT_FAST_COMPILE:BOOL=ON' "$build/CMakeCache.txt" && grep -q '^FT_HAS_WIDE_VECTORS:.*=1' "$build/CMakeCache.txt"; then
-  host_flags+=" -mavx2 -mpopcnt"  # as the library: stages once, for this processor
+  host_flags+=" -mavx2 -mpopcnt -DEIGEN_MAX_ALIGN_BYTES=16"  # as the library: stages once, for this processor
 fi
 architecture=90
 if [[ $cuda == ON ]] && ! nvidia-smi -L 2>/dev/null | grep -q '^GPU'; then

@@ -249,12 +249,12 @@ void sequence::impl::set_image_bits(open_options const& options) {
     for (std::string const& file : files) {
       if (file.empty()) { continue; }
       try {
-        largest = std::max(largest, largest_sample_of_16_bits(file));
-        ++looked_at;
+        int const sample = largest_sample_of_16_bits(file);
+        largest = std::max(largest, sample);
+        if (sample >= 0) { ++looked_at; }
       } catch (error const&) {}  // load() says it
     }
-    bool const others = looked_at > 0 && largest < 0;
-    if (others || largest >> 14 > 0) { return; }
+    if (largest < 0 || largest >> 14 > 0) { return; }  // others, or all 16
   }
   if (largest <= 0) { return; }
   int bits = 10;

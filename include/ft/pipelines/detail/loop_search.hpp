@@ -118,8 +118,9 @@ private:
     path_loop loop;
     int inliers;
   };
-  static constexpr int beside = 5;  ///< keyframes from a chosen one, that see the same place
   int query() const { return path.size() - 1; }
+  /// Whether the query is of a map that is not joined yet.
+  bool joins() const { return path.at(query()).part != path.at(0).part; }
 
   /// Votes for the keyframes that are not among the newest ones of their part. @return their number
   int vote(Exec const& exec) {
@@ -139,8 +140,9 @@ private:
   /// The keyframes with most votes together with their neighbours, the first one of equals; then,
   /// in the part of the query, that of those with at least half as many which is nearest in a
   /// straight line, for where places look the same that is the one. Each is so many keyframes from
-  /// those before that it sees another place. Of a map that is not joined yet two more, which may
-  /// be places that look the same.
+  /// those before that it sees another place. Of a map that is not joined yet, whose first frames
+  /// may have to be found beside the keyframe of most votes, it need not be, and there are two
+  /// more.
   std::vector<std::vector<int>> choose(int n) const {
     int const* const votes = staging_->votes;
     std::vector<int> sums(static_cast<std::size_t>(n));
@@ -150,8 +152,8 @@ private:
     }
     std::vector<std::vector<int>> groups;
     int enough = 0;
-    int const most_groups =
-        params.groups + (path.at(query()).part == path.at(0).part ? 0 : more_to_join);
+    int const most_groups = params.groups + (joins() ? more_to_join : 0);
+    int const beside = joins() ? 2 : 5;  // keyframes
     while (static_cast<int>(groups.size()) < most_groups) {
       auto const most = std::max_element(sums.begin(), sums.end());
       if (*most == 0) { break; }

@@ -51,7 +51,7 @@ class Frames:
             if warning not in self.warnings:
                 self.warnings.append(warning)
         self._to.setdefault(parent, {})[child] = T_parent_child
-        self._to.setdefault(child, {})[parent] = np.linalg.inv(T_parent_child)
+        self._to.setdefault(child, {})[parent] = np.linalg.inv(T_parent_child).astype(np.float64)
 
     def find(self, to: str, source: str) -> Optional[Motion]:
         """(4, 4) that maps points of the frame `source` to the frame `to`; None where nothing joins them, or a name

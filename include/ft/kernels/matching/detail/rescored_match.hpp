@@ -9,6 +9,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 #include "ft/descriptors/descriptor_model.hpp"
+#include "ft/kernels/matching/detail/lower_bound.hpp"
 #include "ft/kernels/matching/detail/strips.hpp"
 #include "ft/kernels/matching/match_types.hpp"
 

@@ -223,7 +223,7 @@ TEST(image_tiff, says_what_is_taken) {
   }
 }
 
-TEST(image_bits, samples_of_12_bits_in_16_are_scaled) {
+TEST(image_bits, a_range_below_16_bits_is_asked_for) {
   temp_folder const folder;
   auto const write = [&](int i, unsigned largest) {
     seq::depth_image samples{64, 48, std::vector<std::uint16_t>(64 * 48, 160)};

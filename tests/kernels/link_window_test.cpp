@@ -163,7 +163,7 @@ TYPED_TEST(LinkWindows, AreWeakerWhileTheOffsetOfTheClocksIsNotKnown) {
   auto const links = r.link();
   EXPECT_NEAR(links[1].rotation_weight / at_once[1].rotation_weight, 1, 1e-9) << "a constant rate";
   double const more = std::pow(static_cast<double>(sigma * faster), 2);
-  for (std::size_t const i : {2, 3}) {
+  for (std::size_t const i : {std::size_t{2}, std::size_t{3}}) {
     EXPECT_NEAR(1 / links[i].rotation_weight - 1 / at_once[i].rotation_weight, more, 1e-4 * more);
     EXPECT_EQ(links[i].translation_weight, at_once[i].translation_weight);
   }

@@ -199,7 +199,7 @@ TEST_P(front_ends, leave_images_that_do_not_fit_to_the_cpu_and_take_the_next_one
   int by_cpu = 0;
   shim fresh(make(s), s, {});
   stand_in::frame const want = construct_with(&fresh, sensor::stereo, by_cpu);
-  for (bool const verify : {false, true}) {
+  for (bool const verify : test::both(false)) {
     heard said;
     ft::orbslam3::options o;
     o.verify = verify;

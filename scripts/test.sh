@@ -102,7 +102,7 @@ finish() {
   rm -f "$cpu_file"
   printf '\n== Summary\n'
   if ((${#timings[@]} > 0)); then
-    printf '   time  processors\n'
+    printf '%s\n   time  processors\n' "${machine:-}"
     printf '%s\n' "${timings[@]}" "$(printf '%5d s  %5d s  %s' "$SECONDS" "$cpu" "all")"
   fi
   cat "$summaries"
@@ -265,6 +265,9 @@ run_sanitizer_tests() {
 
 printf '== Dependencies\n'
 ft_install_missing test
+machine="$jobs jobs at a time on $(nproc) processors, $(awk '/^MemTotal/ { printf "%d", $2 / 1e6 }' /proc/meminfo) GB
+$(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo | head -1)"
+echo "$machine"
 have_cuda=1
 ft_find_nvcc || have_cuda=0
 gpus=

@@ -308,13 +308,17 @@ private:
   void fill_descriptors(frame_arrays const& a, int image, Matrix& descriptors) const {
     int const n = a.count[image];
     std::uint32_t const* const from = a.descriptor + 8 * (image * a.capacity);
+    if (n == 0) {
+      descriptors = Matrix{};  // as the original's: it has no columns either
+      return;
+    }
     if (n <= descriptors.rows) {
       descriptors.resize(static_cast<std::size_t>(n));  // keeps the memory
     } else {
       descriptors.create(n, 32, grey_type);
     }
     auto const step = static_cast<std::size_t>(descriptors.step);
-    if (n > 0 && step == 32) {
+    if (step == 32) {
       std::memcpy(descriptors.data, from, 32 * static_cast<std::size_t>(n));
       return;
     }

@@ -194,6 +194,22 @@ stand_in::matrix grey(int rows, int cols, int type = 0) {
   return m;
 }
 
+TEST_P(front_ends, leave_no_descriptors_of_images_without_keypoints) {
+  auto const s = settings_for(sensor::stereo);
+  shim gpu(make(s), s, {});
+  int by_cpu = 0;
+  EXPECT_GT(construct_with(&gpu, sensor::stereo, by_cpu).mDescriptors.rows, 500);
+  stand_in::frame f;
+  gpu.extract(
+      f, [&] { ++by_cpu; }, grey(480, 640), grey(480, 640));
+  EXPECT_EQ(by_cpu, 0);
+  EXPECT_TRUE(f.mvKeys.empty() && f.mvKeysRight.empty());
+  for (auto const* m : {&f.mDescriptors, &f.mDescriptorsRight}) {  // as the original's: no columns
+    EXPECT_EQ(m->rows, 0);
+    EXPECT_EQ(m->cols, 0);
+  }
+}
+
 TEST_P(front_ends, leave_images_that_do_not_fit_to_the_cpu_and_take_the_next_ones) {
   auto const s = settings_for(sensor::stereo);
   int by_cpu = 0;

@@ -317,9 +317,14 @@ def walk(name):
 
 
 def loop_trials():
-    record, rows = tables_of(LOOPS, "trials")[-1]
-    lines = [measured_on(record), "", "| walls | trials | loops | wrong | revisits found |", "|---|---:|---:|---:|---:|"]
-    return lines + [f"| {r['what']} | {r['trials']} | {r['loops']} | {r['wrong_loops']} | {r['revisits_found']} |" for r in rows]
+    lines = []
+    for record, rows in tables_of(LOOPS, "trials"):
+        lines += [measured_on(record), "", "| walls | trials | loops | wrong | revisits found |", "|---|---:|---:|---:|---:|"]
+        lines += [f"| {r['what']} | {r['trials']} | {r['loops']} | {r['wrong_loops']} | {r['revisits_found']} |" for r in rows] + [""]
+    for record, (row,) in tables_of(LOOPS, "starts"):
+        lines += [f"{measured_on(record)[:-1]}: of {row['starts']} starts in a loaded map {row['found_in_3']} were found in three frames, "
+                  f"{row['within_2cm_1deg']} within 2 cm and 1 degree of the truth, {row['wrong']} wrong.", ""]
+    return lines[:-1]
 
 
 def beside_keyframes():

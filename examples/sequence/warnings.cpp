@@ -18,17 +18,29 @@ struct loss {
   double seconds = 0;
 };
 
-/// The longest loss, from its first frame to the frame after it, or to the last one.
+/// The first frame with a pose; 0 if none has one.
+std::size_t first_tracked(std::vector<frame_record> const& records) {
+  std::size_t i = 0;
+  while (i < records.size() && !records[i].tracked) { ++i; }
+  return i < records.size() ? i : 0;
+}
+
+double seconds_between(frame_record const& from, frame_record const& to) {
+  return 1e-9 * static_cast<double>(to.time_ns - from.time_ns);
+}
+
+/// The longest loss after tracking began, from its first frame to the frame after it, or to the
+/// last one.
 loss longest_loss(std::vector<frame_record> const& records) {
   loss longest;
-  for (std::size_t i = 0; i < records.size();) {
+  for (std::size_t i = first_tracked(records); i < records.size();) {
     if (records[i].tracked) {
       ++i;
       continue;
     }
     std::size_t end = i;
     while (end + 1 < records.size() && !records[end].tracked) { ++end; }
-    double const s = 1e-9 * static_cast<double>(records[end].time_ns - records[i].time_ns);
+    double const s = seconds_between(records[i], records[end]);
     if (s > longest.seconds) { longest = {records[i].index, s}; }
     i = end + 1;
   }
@@ -196,6 +208,13 @@ std::vector<std::string> warnings_of(run_report const& report) {
     out.push_back(std::to_string(report.maps) +
                   " maps were begun: a map after the first starts at a guessed pose, so the path "
                   "is not of one piece");
+  }
+  if (std::size_t const first = first_tracked(report.records); first > 0) {
+    double const s = seconds_between(report.records.front(), report.records[first]);
+    if (s > longest_loss_s) {
+      out.push_back("tracking began after " + fixed(s, 1) + " s, in frame " +
+                    std::to_string(report.records[first].index));
+    }
   }
   if (loss const l = longest_loss(report.records); l.seconds > longest_loss_s) {
     out.push_back("tracking was lost for " + fixed(l.seconds, 1) + " s from frame " +

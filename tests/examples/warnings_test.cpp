@@ -89,6 +89,18 @@ TEST(WarningsOf, LostForLong) {
   EXPECT_TRUE(contains(only_warning(r), "lost for 2.4 s from frame 151 on"));
 }
 
+TEST(WarningsOf, BegunLateIsNotLost) {
+  seq::run_report r = good_run(200);
+  lose(r, 0, 20);  // a second
+  EXPECT_EQ(only_warning(r), "");
+  lose(r, 0, 24);
+  EXPECT_TRUE(contains(only_warning(r), "tracking began after 1.2 s, in frame 24"));
+  lose(r, 100, 124);
+  EXPECT_EQ(seq::warnings_of(r).size(), 2u) << "the loss after it is told, too";
+  lose(r, 0, 200);
+  EXPECT_TRUE(contains(seq::warnings_of(r).front(), "s from frame 0 on"));
+}
+
 TEST(WarningsOf, ReasonsAreCounted) {
   seq::run_report r = good_run(10);
   for (std::size_t i : {3u, 4u, 7u}) {

@@ -17,7 +17,7 @@
 
 namespace odometry_threads_test {
 
-constexpr int cameras = FT_TEST_TSAN ? 2 : 4;  // two meet as four do
+constexpr int cameras = 4;
 constexpr int frames = 9;
 constexpr std::int64_t period = 50'000'000;
 

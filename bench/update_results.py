@@ -301,7 +301,7 @@ def places():
     return lines
 
 
-LOOPS = "loops_cases_h100.json"
+LOOPS = "loops_cases.json"
 
 
 def measured_on(record):

@@ -135,7 +135,9 @@ void finish(arguments const& a, seq::sequence const& sequence, map_writer const&
             seq::run_report& report) {
   report.truth = sequence.ground_truth();
   report.frame = a.frame;
-  if (!report.metric) { report.scale = seq::scale_to(report.estimate, report.truth); }
+  report.fit = seq::fit_scale(report.estimate, report.truth);
+  if (!report.metric && report.fit) { report.scale = report.fit->scale; }
+  if (!report.metric || (report.fit && !report.fit->same_shape())) { report.fit.reset(); }
   if (a.frame == "body") { move_to_body(sequence, report); }
   write_poses(a, sequence, report);
   if (report.scale) { report.estimate = seq::scaled(report.estimate, *report.scale); }

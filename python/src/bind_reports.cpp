@@ -34,6 +34,7 @@ seq::frame_record record_of(nb::handle given) {
   r.tracked = nb::cast<bool>(given[2]);
   r.stage_ms = nb::cast<std::vector<double>>(given[3]);
   r.keyframe = t.keyframe;
+  r.metric = t.metric;
   r.keypoints = t.keypoints;
   r.stereo_matches = t.stereo_points;
   r.inliers = t.inliers;

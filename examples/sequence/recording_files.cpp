@@ -124,8 +124,9 @@ void check_second_camera(layout_of_files& files, open_options const& options,
     if (!(pair.rig.baseline() > 0)) { return; }
   } catch (error const&) { return; }  // it is one camera's
   files.warnings.push_back(
-      files.root.string() + ": the calibration has two cameras, and there are no images of the " +
-      "second one" + (files.second_folder.empty() ? "" : " (" + files.second_folder + ")") +
+      files.root.string() +
+      ": the calibration has two cameras, and there are no images of the second one" +
+      (files.second_folder.empty() ? "" : " (" + files.second_folder + ")") +
       ": tracked as one camera; --rig mono (rig=\"mono\") says that it is meant so");
 }
 

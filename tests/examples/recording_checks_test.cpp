@@ -159,6 +159,37 @@ TEST(RecordingChecks, ASecondCameraWithoutImagesIsNamed) {
   }
 }
 
+TEST(RecordingChecks, WhatIsSaidOfBothCamerasIsSaidOnce) {
+  temp_folder const folder;
+  put(folder, "left/1.0.png");
+  put(folder, "right/1.0.png");
+  std::string text = pair_yaml;
+  for (char const* name : {"D1", "D2"}) {
+    text = seq_test::replaced(text, std::string(name) + ": [0, 0, 0, 0, 0]",
+                              std::string(name) + ": [0.01, 0, 0, 0]");
+  }
+  folder.write("stereo.yml", text);
+  EXPECT_TRUE(contains(warning_of(folder.path()), "stereo.yml: D1 and D2: four numbers"));
+  text = seq_test::replaced(pair_yaml, "D1: [0, 0, 0, 0, 0]\n", "");
+  folder.write("stereo.yml", seq_test::replaced(text, "D2: [0, 0, 0, 0, 0]\n", ""));
+  EXPECT_TRUE(contains(warning_of(folder.path()), "beside K1 and K2: taken for a pinhole"));
+}
+
+TEST(RecordingChecks, AWordAmongTheNumbersOfACameraIsNamed) {
+  temp_folder const folder;
+  put(folder, "images/1.00.png");
+  seq::open_options options;
+  for (char const* text : {"fx 40 40 32 24\n", "40 40 32 24 pixels\n"}) {
+    options.calibration = folder.write("mine.txt", std::string("# a camera\n") + text);
+    std::string const said = message_of([&] { seq::sequence::open(folder.path(), options); });
+    EXPECT_TRUE(contains(said, "mine.txt:2: '")) << said;
+    EXPECT_TRUE(contains(said, "is not a number; must be fx fy cx cy")) << said;
+  }
+  options.calibration = folder.write("mine.txt", "no camera at all\n");
+  EXPECT_TRUE(contains(message_of([&] { seq::sequence::open(folder.path(), options); }),
+                       "no 'key: value' pairs"));
+}
+
 TEST(RecordingChecks, AnImuThatIsNotUsedIsAWarning) {
   temp_folder const folder;
   put(folder, "images/1.00.png");

@@ -150,7 +150,8 @@ void finish(arguments const& a, seq::sequence const& sequence, map_writer const&
   }
   report.unpaired_left = sequence.unpaired().left;
   report.unpaired_right = sequence.unpaired().right;
-  report.warnings = sequence.warnings();
+  // A caller that has unpacked a recording has told what it was, in its own names.
+  if (report.warnings.empty()) { report.warnings = sequence.warnings(); }
   for (std::string const& warning : seq::warnings_of(report)) {
     report.warnings.push_back(warning);
   }

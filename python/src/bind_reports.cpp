@@ -107,6 +107,7 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
   r.keyframes = count("keyframes");
   r.map_points = count("map_points");
   r.maps = count("maps");
+  r.warnings = nb::cast<std::vector<std::string>>(run["warnings"]);
   r.calibration = nb::cast<std::vector<std::string>>(run["calibration"]);
   r.one_camera = flag("one_camera");
   r.depth_images = flag("depth_images");

@@ -130,19 +130,34 @@ void check_second_camera(layout_of_files& files, open_options const& options,
       ": tracked as one camera; --rig mono (rig=\"mono\") says that it is meant so");
 }
 
+namespace {
+
+/// The file with the samples of an IMU; empty without, which `warnings` says of an IMU's folder.
+std::string find_imu_samples(layout_of_files const& l, std::vector<std::string>& warnings) {
+  std::string missing;
+  for (fs::path const& folder : {l.mav0, l.root}) {
+    if (folder.empty()) { continue; }
+    std::string const file = (folder / "imu0" / "data.csv").string();
+    if (is_file(file)) { return file; }
+    if (missing.empty() && is_directory((folder / "imu0").string())) { missing = file; }
+  }
+  std::string const beside = (l.root / "imu.csv").string();
+  if (is_file(beside)) { return beside; }
+  if (!missing.empty()) {
+    warnings.push_back(missing + ": no such file: the samples of the IMU are not used");
+  }
+  return {};
+}
+
+}  // namespace
+
 std::optional<imu_recording> find_imu(layout_of_files const& l, calibration const& calib,
                                       Eigen::Isometry3d const& T_body_left,
                                       recording_source& source,
                                       std::vector<std::string>& warnings) {
-  std::string samples;
-  for (fs::path const& file : {l.mav0.empty() ? fs::path() : l.mav0 / "imu0" / "data.csv",
-                               l.root / "imu0" / "data.csv", l.root / "imu.csv"}) {
-    if (samples.empty() && is_file(file.string())) { samples = file.string(); }
-  }
-  std::string const sensor =
-      samples.empty() ? samples : (fs::path(samples).parent_path() / "sensor.yaml").string();
-  bool const there = !samples.empty();
-  if (!there) {
+  std::string const samples = find_imu_samples(l, warnings);
+  std::string const sensor = (fs::path(samples).parent_path() / "sensor.yaml").string();
+  if (samples.empty()) {
     source.imu_left_out = "no samples (imu0/data.csv, imu.csv)";
   } else if (!calib.has_body_frame) {
     source.imu_left_out = "the calibration does not say where the IMU is";
@@ -152,7 +167,7 @@ std::optional<imu_recording> find_imu(layout_of_files const& l, calibration cons
         "imu.yaml beside the chain)";
   }
   if (!source.imu_left_out.empty()) {
-    if (there) {
+    if (!samples.empty()) {
       warnings.push_back(samples + ": the samples of the IMU are not used: " + source.imu_left_out);
     }
     return std::nullopt;

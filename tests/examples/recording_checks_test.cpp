@@ -203,6 +203,9 @@ TEST(RecordingChecks, AnImuThatIsNotUsedIsAWarning) {
   EXPECT_TRUE(contains(said, "does not say where the IMU is")) << said;
   fs::remove(folder.path("imu.csv"));
   EXPECT_TRUE(warnings_of(folder.path(), options).empty());
+  folder.write("imu0/sensor.yaml", "");
+  std::string const missing = warning_of(folder.path(), options);
+  EXPECT_TRUE(contains(missing, "imu0/data.csv: no such file: the samples of the IMU")) << missing;
 }
 
 TEST(RecordingChecks, ImagesSideBySideAreToBeSplit) {

@@ -37,6 +37,8 @@ constexpr char const* sides[][2] = {
 calibration_format format_of(std::string const& path) {
   bool numbers = true;  // all lines are numbers or comments
   bool any = false;
+  bool plain = true;  // neither YAML nor XML nor JSON
+  bool camera = false;
   for (text_line const& line : read_lines(path)) {
     std::string const text = trim(line.text);
     if (text.size() > 2 && text[0] == 'P' && text[1] >= '0' && text[1] <= '3' && text[2] == ':') {
@@ -47,8 +49,15 @@ calibration_format format_of(std::string const& path) {
     if (!any && is_colmap_camera(text)) { return calibration_format::colmap; }
     any = true;
     numbers = numbers && text.find_first_not_of("0123456789.+-eE \t,") == std::string::npos;
+    plain = plain && text.find_first_of(":{<") == std::string::npos;
+    std::vector<std::string> const words = split(text, " \t,", true);
+    double ignored = 0;
+    camera = camera || std::count_if(words.begin(), words.end(), [&](std::string const& word) {
+                         return to_number(word, ignored);
+                       }) >= 4;
   }
-  if (any && numbers) { return calibration_format::camera_txt; }
+  // With a word among the numbers it is one, too: its reader says which.
+  if (any && (numbers || (plain && camera))) { return calibration_format::camera_txt; }
   yaml_file const file(path);
   if (file.is_map("cam0")) { return calibration_format::kalibr; }
   if (file.is_map("value0")) { return calibration_format::basalt; }

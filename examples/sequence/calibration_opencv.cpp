@@ -107,6 +107,20 @@ std::string model_in(yaml_file const& file) {
   return is ? "fisheye" : "plumb_bob";
 }
 
+/// Adds head + key + tail; where it is said of the other camera already, that of both.
+void warn_of(std::string const& head, std::string const& key, std::string const& tail,
+             std::vector<std::string>& warnings) {
+  for (std::string& said : warnings) {
+    bool const same = said.size() > head.size() + tail.size() &&
+                      said.compare(0, head.size(), head) == 0 &&
+                      said.compare(said.size() - tail.size(), tail.size(), tail) == 0;
+    if (!same) { continue; }
+    said.insert(said.size() - tail.size(), " and " + key);
+    return;
+  }
+  warnings.push_back(head + key + tail);
+}
+
 camera_intrinsics read_one(yaml_file const& file, int side, int width, int height,
                            std::vector<std::string>& warnings) {
   camera_intrinsics camera;
@@ -125,8 +139,8 @@ camera_intrinsics read_one(yaml_file const& file, int side, int width, int heigh
   set_camera_matrix(camera, nine(file, k), file.path(), k);
   std::string const d = coefficients_key(file, side);
   if (d.empty()) {
-    warnings.push_back(file.path() + ": no distortion coefficients beside " + k +
-                       ": the camera is taken for a pinhole");
+    warn_of(file.path() + ": no distortion coefficients beside ", k, ": taken for a pinhole",
+            warnings);
     return camera;
   }
   int rows = 0;
@@ -136,9 +150,10 @@ camera_intrinsics read_one(yaml_file const& file, int side, int width, int heigh
   if (model.empty()) {
     model = values.size() > 5 ? "rational_polynomial" : "plumb_bob";
     if (values.size() == 4) {
-      warnings.push_back(file.path() + ": " + d +
-                         " has four numbers and no distortion_model is named: taken for k1 k2 p1 "
-                         "p2; of a fisheye lens, add distortion_model: equidistant");
+      warn_of(file.path() + ": ", d,
+              ": four numbers, and no distortion_model is named: taken for k1 k2 p1 p2; of a "
+              "fisheye lens, add distortion_model: equidistant",
+              warnings);
     }
   }
   set_distortion(camera, model, values, file.path(), d);

@@ -285,7 +285,7 @@ std::optional<Eigen::Isometry3d> interpolate(trajectory const& reference, std::i
   return pose;
 }
 
-std::optional<double> scale_to(trajectory const& estimate, trajectory const& truth) {
+std::optional<scale_fit> fit_scale(trajectory const& estimate, trajectory const& truth) {
   std::vector<matched_pose> const pairs = match(estimate, truth);
   if (pairs.size() < 3) { return std::nullopt; }
   moments const m = moments_of(pairs);
@@ -306,7 +306,26 @@ std::optional<double> scale_to(trajectory const& estimate, trajectory const& tru
   double const scale = (s.x() + s.y() + (mirrored ? -s.z() : s.z())) / spread;
   // 0 if the truth stands still, not finite if the estimate does
   if (!std::isfinite(scale) || !(scale > 0)) { return std::nullopt; }
-  return scale;
+  auto const n = static_cast<double>(pairs.size());
+  double const left =
+      std::max(0.0, truth_spread - scale * scale * spread);  // of the same alignment
+  return scale_fit{scale, static_cast<int>(pairs.size()), std::sqrt(spread / n),
+                   std::sqrt(left / n)};
+}
+
+bool scale_fit::same_shape() const {
+  constexpr int least_pairs = 5;
+  return pairs >= least_pairs && error_m < 0.25 * scale * spread_m;
+}
+
+bool scale_fit::off_by(double most) const {
+  bool const off = scale > 1 + most || scale < 1 / (1 + most);
+  return off && same_shape() && error_m < 0.5 * std::fabs(1 - scale) * spread_m;
+}
+
+std::optional<double> scale_to(trajectory const& estimate, trajectory const& truth) {
+  auto const fit = fit_scale(estimate, truth);
+  return fit ? std::optional<double>(fit->scale) : std::nullopt;
 }
 
 trajectory scaled(trajectory const& poses, double scale) {

@@ -31,6 +31,22 @@ trajectory at_times_of(trajectory const& poses, trajectory const& reference);
 /// What lengths of `estimate` are multiplied by to fit `truth` best (Umeyama, PAMI 1991); nothing
 /// with fewer than 3 poses that have ground truth, or where they do not move.
 std::optional<double> scale_to(trajectory const& estimate, trajectory const& truth);
+
+/// How well an estimate fits a ground truth when its lengths are multiplied by what fits best.
+struct scale_fit {
+  double scale = 1;     ///< that of scale_to()
+  int pairs = 0;        ///< poses with ground truth
+  double spread_m = 0;  ///< of the estimate, unscaled: RMS distance from its mean
+  double error_m = 0;   ///< RMSE that is left
+  /// Whether the path has the shape of the truth, so that the scale says something: not of a camera
+  /// that stands still, or that was lost.
+  bool same_shape() const;
+  /// Whether the scale is more than `most` off, as a part of 1, and that is most of the error.
+  bool off_by(double most) const;
+};
+/// Nothing where scale_to() has nothing.
+std::optional<scale_fit> fit_scale(trajectory const& estimate, trajectory const& truth);
+
 /// The same poses with all lengths multiplied by `scale`.
 trajectory scaled(trajectory const& poses, double scale);
 

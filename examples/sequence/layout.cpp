@@ -51,6 +51,21 @@ bool has_image_extension(fs::path const& file) {
          std::end(image_extensions);
 }
 
+namespace {
+
+/// Says where the steps of two lists differ by a factor that only units have.
+std::string other_units(two_lists const& lists, std::vector<std::int64_t> const& left,
+                        std::vector<std::int64_t> const& second) {
+  auto const a = static_cast<double>(median_step(left));
+  auto const b = static_cast<double>(median_step(second));
+  constexpr double factor = 300;
+  if (a == 0 || b == 0 || (a < factor * b && b < factor * a)) { return {}; }
+  return "; images are " + to_text(1e-9 * a) + " s apart by " + lists.left_name + " and " +
+         to_text(1e-9 * b) + " s by " + lists.second_name + ": are both in one unit?";
+}
+
+}  // namespace
+
 void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& layout) {
   std::vector<listed_image> const left = present(lists.left);
   std::vector<listed_image> const second = present(lists.second);
@@ -72,7 +87,8 @@ void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& 
     if (!left.empty() && !second.empty()) {
       reason += "; the nearest time stamps are " +
                 milliseconds(smallest_distance(left_times, second_times)) + " ms apart, at most " +
-                milliseconds(most_ns) + " ms allowed";
+                milliseconds(most_ns) + " ms allowed" +
+                other_units(lists, left_times, second_times);
     }
     throw error(layout.root.string() + ": " + reason);
   }

@@ -50,6 +50,7 @@ void find_euroc_frames(layout_of_files& layout, open_options const& options) {
   bool const pair = is_pair(options.rig) ||
                     (options.rig == camera_kind::any && is_directory(camera("cam1").string()));
   layout.stamps_from = "data.csv";
+  layout.second_folder = camera("cam1").string();
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
   if (pair) {
     require_folder("cam1");

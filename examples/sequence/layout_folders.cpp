@@ -85,8 +85,9 @@ fs::path with_images(fs::path const& folder) {
 }
 
 struct camera_folders {
-  fs::path left, right;        ///< right is empty for one camera
-  std::vector<fs::path> more;  ///< of cam0, cam1: cam2 ...
+  fs::path left, right;         ///< right is empty for one camera
+  std::string right_name = {};  ///< of the folder, also where it is not there
+  std::vector<fs::path> more;   ///< of cam0, cam1: cam2 ...
 };
 
 camera_folders find_folders(fs::path const& root) {
@@ -98,7 +99,7 @@ camera_folders find_folders(fs::path const& root) {
   for (auto const& [left, right] : pairs) {
     fs::path const first = with_images(root / left);
     if (first.empty()) { continue; }
-    camera_folders found{first, with_images(root / right), {}};
+    camera_folders found{first, with_images(root / right), right, {}};
     std::string const name = left;
     for (int k = 2; name.rfind("cam", 0) == 0 && !found.right.empty(); ++k) {
       fs::path const next =
@@ -110,7 +111,7 @@ camera_folders find_folders(fs::path const& root) {
   }
   for (char const* name : {"images", "image", "rgb", "color", "frames", ""}) {
     fs::path const first = with_images(name[0] == 0 ? root : root / name);
-    if (!first.empty()) { return {first, {}, {}}; }
+    if (!first.empty()) { return {first, {}, {}, {}}; }
   }
   return {};
 }
@@ -324,6 +325,28 @@ std::vector<listed_image> at_times_of(std::vector<named_image> const& left,
 
 }  // namespace
 
+namespace {
+
+/// Depth images, or a list of them, beside one camera whose images are in no list.
+void check_depth_left_out(layout_of_files& layout) {
+  if (is_file((layout.root / "depth.txt").string())) {
+    throw error((layout.root / "rgb.txt").string() +
+                ": no such file, though there is depth.txt: both lists, or associations.txt, are a "
+                "recording with depth images; --rig mono (rig=\"mono\") takes one camera alone");
+  }
+  for (char const* name : {"depth", "Depth", "depth_images", "aligned_depth"}) {
+    fs::path const folder = with_images(layout.root / name);
+    if (folder.empty()) { continue; }
+    layout.warnings.push_back(
+        folder.string() +
+        ": depth images that are not used: no depth.txt beside rgb.txt, and no associations.txt, "
+        "says which belong to the images; tracked as one camera");
+    return;
+  }
+}
+
+}  // namespace
+
 bool has_image_folders(fs::path const& root) { return !find_folders(root).left.empty(); }
 
 void find_folder_frames(layout_of_files& layout, open_options const& options) {
@@ -337,6 +360,8 @@ void find_folder_frames(layout_of_files& layout, open_options const& options) {
   }
   bool const pair = options.rig != camera_kind::mono && !folders.right.empty();
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
+  layout.second_folder = folders.right_name;
+  if (!pair && options.rig == camera_kind::any) { check_depth_left_out(layout); }
   std::vector<named_image> const left = list_images(folders.left);
   std::vector<named_image> const right = pair ? list_images(folders.right) : left;
   std::string times = options.times;

@@ -66,6 +66,7 @@ void find_kitti_frames(layout_of_files& layout, open_options const& options) {
       is_pair(options.rig) || (options.rig == camera_kind::any &&
                                is_directory((layout.root / image_folder(layout, 1)).string()));
   layout.stamps_from = "times.txt";
+  layout.second_folder = image_folder(layout, 1);
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
   std::string const times_file = (layout.root / "times.txt").string();
   if (!is_file(times_file)) {

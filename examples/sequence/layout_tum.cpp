@@ -96,6 +96,21 @@ void read_associations(std::string const& path, std::int64_t most_ns, layout_of_
   }
 }
 
+/// Whether the recording is one of the benchmark itself, by its folder or a comment of its lists.
+bool is_of_tum(fs::path const& root) {
+  std::string const name = "rgbd_dataset_freiburg";
+  if (root.filename().string().find(name) != std::string::npos) { return true; }
+  for (char const* list : {"rgb.txt", "depth.txt"}) {
+    std::string const path = (root / list).string();
+    if (!is_file(path)) { continue; }
+    for (text_line const& line : read_lines(path)) {
+      if (!is_blank_or_comment(line.text)) { break; }
+      if (line.text.find(name) != std::string::npos) { return true; }
+    }
+  }
+  return false;
+}
+
 }  // namespace
 
 void find_tum_frames(layout_of_files& layout, open_options const& options) {
@@ -107,6 +122,13 @@ void find_tum_frames(layout_of_files& layout, open_options const& options) {
   if (options.rig == camera_kind::rgbd && !depth) {
     throw error(layout.root.string() + ": no depth images: neither depth.txt nor associations.txt");
   }
+  if (options.rig == camera_kind::any && !depth) {
+    layout.warnings.push_back(
+        path("depth.txt") +
+        ": no such file, nor associations.txt: tracked as one camera, without depth images; "
+        "--rig mono (rig=\"mono\") says that it is meant so");
+  }
+  layout.of_tum = is_of_tum(layout.root);
   layout.stamps_from = is_file(path("rgb.txt")) ? "rgb.txt" : "associations.txt";
   layout.kind = depth && options.rig != camera_kind::mono ? camera_kind::rgbd : camera_kind::mono;
   std::int64_t const most = options.max_time_difference_ns.value_or(most_to_depth_ns);

@@ -12,7 +12,7 @@
 #include "examples/sequence/calibration.hpp"
 #include "examples/sequence/detail/calibration_checks.hpp"
 #include "examples/sequence/detail/layout.hpp"
-#include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/recording_checks.hpp"
 #include "examples/sequence/detail/text.hpp"
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/image_io.hpp"
@@ -45,7 +45,6 @@ struct sequence::impl {
   Eigen::Isometry3d prepare_images(std::string const& directory, open_options const& options);
   void set_depth_unit(detail::layout_of_files const& files, calibration const& calib,
                       open_options const& options);
-  void check_times();
   void set_image_bits(open_options const& options);
 };
 
@@ -55,9 +54,6 @@ using detail::layout_of_files;
 using detail::raw_ground_truth;
 
 namespace fs = std::filesystem;
-
-/// What the TUM RGB-D recordings have.
-constexpr double usual_depth_unit = 1.0 / 5000;
 
 image read_checked(std::string const& path, camera_intrinsics const& camera, int bits) {
   image picture = read_image(path, bits);
@@ -132,43 +128,6 @@ Eigen::Isometry3d given_to_loaded(raw_ground_truth::frame given, calibration con
   return T_raw_loaded;
 }
 
-std::string seconds_text(std::int64_t ns) {
-  return detail::to_text(1e-9 * static_cast<double>(ns));
-}
-
-/// Says where the times of a file are not those of the images.
-void check_overlap(std::vector<detail::frame_files> const& frames, std::int64_t first,
-                   std::int64_t last, char const* what, std::vector<std::string>& warnings) {
-  std::int64_t const begin = frames.front().time_ns;
-  std::int64_t const end = frames.back().time_ns;
-  if (first <= end && last >= begin) { return; }
-  // Times of today in seconds differ in digits that are not written.
-  warnings.push_back(std::string(what) + " and images have no time in common: the former " +
-                     (first > end ? "begins " + seconds_text(first - end) + " s after the last"
-                                  : "ends " + seconds_text(begin - last) + " s before the first") +
-                     " image");
-}
-
-/// Says where the first frame's depths are not those of a scene.
-void check_depths(depth_image const& depth, double unit, std::string const& path, double baseline,
-                  std::vector<std::string>& warnings) {
-  std::vector<double> seen;
-  for (std::uint16_t const value : depth.pixels) {
-    if (value > 0) { seen.push_back(unit * value); }
-  }
-  double const middle = detail::median(std::move(seen));
-  double const farthest = 1000 * baseline;
-  constexpr double nearest = 0.05;
-  if (middle == 0) {
-    warnings.push_back(path + ": no pixel has a depth");
-  } else if (middle < nearest || middle > farthest) {
-    warnings.push_back(path + ": the median depth is " + detail::to_text(middle) +
-                       " m with the unit of " + detail::to_text(unit) + " m, likely are " +
-                       detail::to_text(nearest) + " to " + detail::to_text(farthest) +
-                       " m: is the unit another one?");
-  }
-}
-
 }  // namespace
 
 /// Decides what load() does with images. @return what maps points of the loaded left camera into
@@ -204,31 +163,11 @@ Eigen::Isometry3d sequence::impl::prepare_images(std::string const& directory,
 
 void sequence::impl::set_depth_unit(layout_of_files const& files, calibration const& calib,
                                     open_options const& options) {
-  if (options.depth_unit > 0) {
-    depth_unit = options.depth_unit;
-    depth_unit_from = "as asked for";
-  } else if (calib.depth_unit) {
-    depth_unit = *calib.depth_unit;
-    depth_unit_from = "as the calibration says";
-  } else {
-    depth_unit = usual_depth_unit;
-    depth_unit_from = "assumed, as TUM RGB-D has it: the calibration says nothing";
-  }
+  detail::depth_unit unit = detail::depth_unit_of(files, calib, options);
   std::string const& first = files.frames.front().second;
-  check_depths(read_checked_depth(first, raw.left), depth_unit, first, rig.baseline(), warnings);
-}
-
-/// Says where times are not those of a camera.
-void sequence::impl::check_times() {
-  std::vector<std::int64_t> times;
-  for (detail::frame_files const& frame : frames) { times.push_back(frame.time_ns); }
-  std::int64_t const step = detail::median_step(times);
-  constexpr std::int64_t longest = 10'000'000'000;
-  constexpr std::int64_t shortest = 100'000;
-  if (step == 0 || (step >= shortest && step <= longest)) { return; }
-  warnings.push_back("frames are " + seconds_text(step) + " s apart in the median, usual are " +
-                     seconds_text(shortest) + " to " + seconds_text(longest) +
-                     " s: are the time stamps in another unit?");
+  check_depths(read_checked_depth(first, raw.left), unit, first, rig.baseline(), warnings);
+  depth_unit = unit.metres;
+  depth_unit_from = std::move(unit.from);
 }
 
 /// Sensors of 10 to 14 bits are often stored in 16 without being scaled. That is said, not assumed:
@@ -275,6 +214,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
   layout_of_files files = detail::find_layout(directory, options);
   recording_source source;
   calibration calib = detail::find_calibration(files, options, source);
+  detail::check_second_camera(files, options, calib);
   detail::add_cameras(calib, options, files);
   auto p = std::make_unique<impl>();
   p->name = files.root.filename().string();
@@ -296,21 +236,21 @@ sequence sequence::open(std::string const& directory, open_options const& option
     p->truth = poses_of(p->truth, given_to_loaded(truth.of, calib, p->rig, T_raw_loaded));
   }
   if (!p->truth.empty()) {
-    check_overlap(files.frames, p->truth.front().time_ns, p->truth.back().time_ns, "ground truth",
-                  p->warnings);
+    detail::check_overlap(files.frames, p->truth.front().time_ns, p->truth.back().time_ns,
+                          "ground truth", p->warnings);
   }
   if (options.read_imu) {
     p->imu = detail::find_imu(files, calib, p->rig.T_body_left, source, p->warnings);
     if (p->imu) {
       auto const& samples = p->imu->samples;
-      check_overlap(files.frames, samples.front().time_ns, samples.back().time_ns, "IMU",
-                    p->warnings);
+      detail::check_overlap(files.frames, samples.front().time_ns, samples.back().time_ns, "IMU",
+                            p->warnings);
     }
   }
   source.stamps = std::move(files.stamps_from);
   p->from = std::move(source);
   p->frames = std::move(files.frames);
-  p->check_times();
+  detail::check_frame_times(p->frames, p->warnings);
   p->unpaired = files.unpaired;
   if (options.max_frames > 0 && p->frames.size() > static_cast<std::size_t>(options.max_frames)) {
     p->frames.resize(static_cast<std::size_t>(options.max_frames));

@@ -15,11 +15,27 @@ std::string size_text(int width, int height) {
   return std::to_string(width) + " x " + std::to_string(height);
 }
 
+namespace {
+
+/// What to do with images that hold both of a pair; empty for others.
+std::string halves_text(int width, int height, camera_intrinsics const& camera) {
+  bool const beside = width == 2 * camera.width && height == camera.height;
+  bool const below = width == camera.width && height == 2 * camera.height;
+  if (!beside && !below) { return {}; }
+  return std::string(": are both images of a pair in one, ") +
+         (beside ? "side by side" : "one above the other") +
+         "? They must be apart, in left and right; of a video: ffmpeg -i VIDEO -vf crop=" +
+         (beside ? "iw/2:ih:0:0 left.mp4, crop=iw/2:ih:iw/2:0 right.mp4"
+                 : "iw:ih/2:0:0 left.mp4, crop=iw:ih/2:0:ih/2 right.mp4");
+}
+
+}  // namespace
+
 void check_image_size(std::string const& path, int width, int height,
                       camera_intrinsics const& camera) {
   if (width != camera.width || height != camera.height) {
     throw error(path + ": image is " + size_text(width, height) + " pixels, the calibration has " +
-                size_text(camera.width, camera.height));
+                size_text(camera.width, camera.height) + halves_text(width, height, camera));
   }
 }
 
@@ -92,17 +108,55 @@ calibration find_calibration(layout_of_files const& l, open_options const& optio
   return calib;
 }
 
+void check_second_camera(layout_of_files& files, open_options const& options,
+                         calibration const& calib) {
+  // A settings file of a camera with depth images has the baseline of a virtual pair.
+  bool const by_itself = files.kind == camera_kind::mono && options.rig == camera_kind::any;
+  if (!by_itself || files.name == "tum" || calib.depth_unit) { return; }
+  camera_intrinsics const& left = calib.rig.left;
+  try {
+    std::string ignored;
+    calibration const pair =
+        options.calibration.empty()
+            ? own_calibration(files, camera_kind::stereo, left.width, left.height, ignored)
+            : read_calibration(options.calibration, left.width, left.height, files.left_camera,
+                               camera_kind::stereo);
+    if (!(pair.rig.baseline() > 0)) { return; }
+  } catch (error const&) { return; }  // it is one camera's
+  files.warnings.push_back(
+      files.root.string() +
+      ": the calibration has two cameras, and there are no images of the second one" +
+      (files.second_folder.empty() ? "" : " (" + files.second_folder + ")") +
+      ": tracked as one camera; --rig mono (rig=\"mono\") says that it is meant so");
+}
+
+namespace {
+
+/// The file with the samples of an IMU; empty without, which `warnings` says of an IMU's folder.
+std::string find_imu_samples(layout_of_files const& l, std::vector<std::string>& warnings) {
+  std::string missing;
+  for (fs::path const& folder : {l.mav0, l.root}) {
+    if (folder.empty()) { continue; }
+    std::string const file = (folder / "imu0" / "data.csv").string();
+    if (is_file(file)) { return file; }
+    if (missing.empty() && is_directory((folder / "imu0").string())) { missing = file; }
+  }
+  std::string const beside = (l.root / "imu.csv").string();
+  if (is_file(beside)) { return beside; }
+  if (!missing.empty()) {
+    warnings.push_back(missing + ": no such file: the samples of the IMU are not used");
+  }
+  return {};
+}
+
+}  // namespace
+
 std::optional<imu_recording> find_imu(layout_of_files const& l, calibration const& calib,
                                       Eigen::Isometry3d const& T_body_left,
                                       recording_source& source,
                                       std::vector<std::string>& warnings) {
-  std::string samples;
-  for (fs::path const& file : {l.mav0.empty() ? fs::path() : l.mav0 / "imu0" / "data.csv",
-                               l.root / "imu0" / "data.csv", l.root / "imu.csv"}) {
-    if (samples.empty() && is_file(file.string())) { samples = file.string(); }
-  }
-  std::string const sensor =
-      samples.empty() ? samples : (fs::path(samples).parent_path() / "sensor.yaml").string();
+  std::string const samples = find_imu_samples(l, warnings);
+  std::string const sensor = (fs::path(samples).parent_path() / "sensor.yaml").string();
   if (samples.empty()) {
     source.imu_left_out = "no samples (imu0/data.csv, imu.csv)";
   } else if (!calib.has_body_frame) {
@@ -112,7 +166,12 @@ std::optional<imu_recording> find_imu(layout_of_files const& l, calibration cons
         "nothing says its noise (sensor.yaml beside the samples; Kalibr's "
         "imu.yaml beside the chain)";
   }
-  if (!source.imu_left_out.empty()) { return std::nullopt; }
+  if (!source.imu_left_out.empty()) {
+    if (!samples.empty()) {
+      warnings.push_back(samples + ": the samples of the IMU are not used: " + source.imu_left_out);
+    }
+    return std::nullopt;
+  }
   imu_recording imu;
   imu.calibration = calib.imu ? *calib.imu : read_euroc_imu_calibration(sensor);
   if (calib.imu_time_offset_s) { imu.calibration.time_offset_s = *calib.imu_time_offset_s; }

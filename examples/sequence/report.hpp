@@ -35,7 +35,8 @@ struct frame_record {
   std::int64_t time_ns = 0;
   bool tracked = false;
   bool keyframe = false;
-  int keypoints = 0;  ///< left image
+  bool metric = true;  ///< the scale of its pose is known
+  int keypoints = 0;   ///< left image
   int stereo_matches = 0;
   int inliers = 0;  ///< keypoints matched to map points from before this frame
   int local_points = 0;
@@ -98,7 +99,8 @@ struct run_report {
   trajectory estimate;  ///< tracked frames only; of one camera, those whose scale is known if any
   bool metric = true;   ///< the scale of `estimate` is known
   std::optional<double> scale;  ///< otherwise: what fits it to the ground truth, where there is one
-  trajectory truth;             ///< may be empty
+  std::optional<scale_fit> fit;  ///< of a metric one, where there is ground truth; not applied
+  trajectory truth;              ///< may be empty
   trajectory_error error;
   std::vector<sample_frame> samples;
   std::vector<Eigen::Vector3f> cloud;  ///< map points in the world of `estimate`, metres
@@ -123,12 +125,14 @@ std::string command_line(std::vector<std::string> const& words);
 void print_summary(std::ostream& out, run_report const& report);
 /// Machine-readable: frames, tracked, lost, dropped, path_m, ate_rmse_m, rpe_rmse_m (null without
 /// ground truth), ate_axes_m, drift_percent, version, command, date, threads, scale (null where it
-/// is known or there is no ground truth), keyframes, map_points, backend, stages = name -> mean_ms
-/// std_ms p50_ms p99_ms max_ms, imu (null without one), warnings, images_to_pose = mean_ms ... from
-/// handing a frame's images over to having its pose, prefetch = frames given ahead (then fps is
-/// null: the stages leave their keypoints and stereo out), reasons = name -> frames that were not
-/// tracked or are doubted, ate_rotation_missing, stopped_at (null for a whole run), evo = figure ->
-/// command, loops = closed, corrections, online_ate_rmse_m (only with --loops), and the rest.
+/// is known or there is no ground truth), scale_to_truth (what would fit a path of known scale;
+/// else null), without_scale (tracked frames whose scale was not known yet: not in the path),
+/// keyframes, map_points, backend, stages = name -> mean_ms std_ms p50_ms p99_ms max_ms, imu (null
+/// without one), warnings, images_to_pose = mean_ms ... from handing a frame's images over to
+/// having its pose, prefetch = frames given ahead (then fps is null: the stages leave their
+/// keypoints and stereo out), reasons = name -> frames that were not tracked or are doubted,
+/// ate_rotation_missing, stopped_at (null for a whole run), evo = figure -> command, loops =
+/// closed, corrections, online_ate_rmse_m (only with --loops), and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

@@ -43,7 +43,8 @@ std::string counts_section(run_report const& r) {
       title, merged ? "Lines are means of " +
                           std::to_string(buckets.front().end - buckets.front().begin) +
                           " frames a point, bands reach from their least to their most."
-                    : "Left image; inliers are the map points that the final pose agrees with.");
+                    : std::string(r.one_camera || r.depth_images ? "" : "Left image; ") +
+                          "inliers are the map points that the final pose agrees with.");
   out += "<div class=\"legend\">\n";
   for (series const& s : all) { out += legend_entry(s.style, mark::line, s.name); }
   if (lost) { out += legend_entry("lost", mark::area, "lost"); }

@@ -26,7 +26,8 @@ struct run_figures {
   double path_m = 0;
   std::optional<double> ate_rmse_m, rpe_rmse_m;
   std::optional<double> ate_rotation_rmse_deg, rpe_rotation_rmse_deg;
-  std::optional<double> tracked_ratio;   ///< tracked / frames
+  std::optional<double> tracked_ratio;  ///< tracked / frames
+  int without_scale = 0;  ///< tracked, and not in the path: of one camera before its scale is known
   std::optional<double> processing_s;    ///< sum of the last stage; nothing of prefetched frames
   std::optional<double> fps;             ///< timed frames / processing_s
   std::optional<double> wall_fps;        ///< frames / run_report::wall_s
@@ -39,6 +40,8 @@ struct run_figures {
 };
 
 run_figures figures_of(run_report const& report);
+/// Rounded down, so that 100 means all of them; "n/a" without frames.
+std::string tracked_percent(run_figures const& f);
 
 /// What an IMU did in a run.
 struct imu_figures {

@@ -56,13 +56,13 @@ std::string cards(run_report const& r, run_figures const& f) {
                       : *f.tracked_ratio > 0.98 ? "good"
                       : *f.tracked_ratio > 0.8  ? "fair"
                                                 : "bad";
-  // rounded down: 100 % means all of them
-  std::string const share =
-      f.tracked_ratio ? fixed(std::floor(*f.tracked_ratio * 1000) / 10, 1) : "n/a";
-  out += card("Tracked", share, "%",
-              grouped(r.tracked) + " of " + grouped(r.frames) + " frames, " + grouped(r.lost) +
-                  " lost" + (r.dropped > 0 ? ", " + grouped(r.dropped) + " dropped" : ""),
-              state);
+  out += card(
+      "Tracked", tracked_percent(f), "%",
+      grouped(r.tracked) + " of " + grouped(r.frames) + " frames, " + grouped(r.lost) + " lost" +
+          (r.dropped > 0 ? ", " + grouped(r.dropped) + " dropped" : "") +
+          (f.without_scale > 0 ? "; " + grouped(f.without_scale) + " before the scale was known"
+                               : ""),
+      state);
   std::string const no_truth = "no ground truth";
   out += card("Absolute error", f.ate_rmse_m ? significant(*f.ate_rmse_m) : "n/a", "m",
               f.ate_rmse_m ? "ATE RMSE over " + grouped(r.error.pairs) + " poses" +
@@ -82,11 +82,12 @@ std::string cards(run_report const& r, run_figures const& f) {
               : f.has_truth ? "too few poses with ground truth"
                             : no_truth);
   std::string path_note = r.metric || r.scale ? "estimated" : "estimated, of unknown scale";
+  if (r.fit) { path_note += "; x " + significant(r.fit->scale) + " would fit the truth best"; }
   if (f.has_truth && std::isfinite(r.error.truth_path_m) && r.error.truth_path_m > 0) {
     path_note += "; ground truth " + length_text(r.error.truth_path_m) + " m";
   }
-  out += card("Path", r.estimate.empty() && f.path_m <= 0 ? "n/a" : length_text(f.path_m), "m",
-              path_note);
+  out += card("Path", r.estimate.empty() && f.path_m <= 0 ? "n/a" : length_text(f.path_m),
+              r.metric || r.scale ? "m" : "", path_note);
   bool const timed = f.images_to_pose.count > 0;
   out += card("Images to pose", timed ? significant(f.images_to_pose.ms.p50) : "n/a", "ms",
               !timed ? "not timed"

@@ -107,7 +107,8 @@ std::vector<std::uint8_t> jpeg_within(image const& picture, std::size_t budget) 
   }
 }
 
-std::string depth_bar(depth_scale const& scale) {
+/// @param unit of lengths; empty where it is not known
+std::string depth_bar(depth_scale const& scale, char const* unit) {
   constexpr double width = 240, cell = width / depth_colours;
   std::string out =
       "<svg class=\"depth-bar\" viewBox=\"0 0 240 28\" role=\"img\" "
@@ -120,8 +121,8 @@ std::string depth_bar(depth_scale const& scale) {
   for (std::size_t i = 0; i < anchors.size(); ++i) {
     double const t = 0.5 * static_cast<double>(i);
     double const depth = scale.near * std::pow(scale.far / scale.near, t);
-    std::string const unit = i == 2 ? " m" : "";
-    out += chart::text(width * t, 24, anchors[i], fixed(depth, depth < 10 ? 1 : 0) + unit);
+    out += chart::text(width * t, 24, anchors[i],
+                       fixed(depth, depth < 10 ? 1 : 0) + (i == 2 ? unit : ""));
   }
   return out + "</svg>";
 }
@@ -204,7 +205,7 @@ figure_parts sample_figure(sample_frame const& s, depth_scale const& scale, doub
     group(tracked[i], depth_colour((static_cast<double>(i) + 0.5) / depth_colours), 2.0, 1.0);
   }
   out += "</svg>\n<figcaption><b>Frame " + std::to_string(s.index) + "</b> " + grouped(total) +
-         " keypoints, " + grouped(with_depth) + " with stereo depth, " + grouped(inliers) +
+         " keypoints, " + grouped(with_depth) + " with depth, " + grouped(inliers) +
          " inliers</figcaption>\n</figure>\n";
   return parts;
 }
@@ -226,13 +227,14 @@ std::string sample_section(run_report const& r, std::size_t budget) {
   }
   if (frames.empty()) { return {}; }
   depth_scale const scale = scale_of(r.samples);
-  std::string out =
-      section_open("Keypoints and tracks",
-                   "Left image. A ring's size is its pyramid level's, its colour the "
-                   "stereo depth; a line leads from where the same map point was seen "
-                   "in the frame before.");
+  std::string out = section_open("Keypoints and tracks",
+                                 std::string(r.one_camera || r.depth_images ? "" : "Left image. ") +
+                                     "A ring's size is its pyramid level's, its colour the depth; "
+                                     "a line leads from where the same map point was seen "
+                                     "in the frame before.");
   // the rings are drawn on dark: their colours are chosen for the pictures, not for the page
-  out += "<div class=\"legend\">\n<span class=\"key\">depth " + depth_bar(scale) + "</span>\n";
+  out += "<div class=\"legend\">\n<span class=\"key\">depth " +
+         depth_bar(scale, r.metric ? " m" : "") + "</span>\n";
   auto const ring = [&](char const* colour, char const* stroke, char const* words) {
     out += std::string(
                "<span class=\"key\"><svg class=\"swatch\" viewBox=\"0 0 22 12\"><rect "
@@ -242,8 +244,8 @@ std::string sample_section(run_report const& r, std::size_t budget) {
   };
   std::string const example = depth_colour(0.45);
   ring(example.c_str(), "2", "inlier map point");
-  ring(example.c_str(), "0.8", "stereo match only");
-  ring("#ffffff", "2", "inlier without stereo");
+  ring(example.c_str(), "0.8", "depth only");
+  ring("#ffffff", "2", "inlier without depth");
   ring("#b9c0ca", "1", "unmatched");
   out +=
       "<span class=\"key\"><svg class=\"swatch\" viewBox=\"0 0 22 12\"><rect width=\"22\" "

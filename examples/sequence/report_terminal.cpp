@@ -85,11 +85,14 @@ std::string pose_time_lines(run_report const& report, detail::run_figures const&
 
 std::string count_lines(run_report const& report, detail::run_figures const& f) {
   using detail::fixed;
-  std::string const share =
-      f.tracked_ratio ? " (" + fixed(100.0 * *f.tracked_ratio, 1) + " %)" : "";
+  std::string const share = f.tracked_ratio ? " (" + detail::tracked_percent(f) + " %)" : "";
   std::string text =
       line("frames", std::to_string(report.frames)) +
       line("tracked", std::to_string(report.tracked) + share) +
+      (f.without_scale > 0 ? line("without scale", std::to_string(f.without_scale) +
+                                                       " of the tracked, before the IMU told it: "
+                                                       "not in the trajectory")
+                           : std::string()) +
       line("lost", std::to_string(report.lost)) + line("dropped", std::to_string(report.dropped)) +
       line("keyframes", std::to_string(report.keyframes)) +
       line("map points", std::to_string(report.map_points)) +
@@ -116,6 +119,9 @@ std::string error_lines(run_report const& report, detail::run_figures const& f) 
     text += line("scale", "unknown; fitted to the ground truth: x " + fixed(report.scale, 4));
   } else if (!report.metric) {
     text += line("scale", "unknown");
+  } else if (report.fit) {
+    text += line("scale to truth",
+                 "x " + fixed(report.fit->scale, 4) + " would fit best; errors are without it");
   }
   text += line("path", fixed(f.path_m, 3) + (report.metric || report.scale ? " m" : ""));
   if (f.has_truth) {

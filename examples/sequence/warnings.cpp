@@ -115,6 +115,17 @@ std::string without_numbers(std::string text) {
   return text;
 }
 
+/// What is said of a path that is longer or shorter than the ground truth by a factor.
+std::string scale_sentence(run_report const& report) {
+  std::string const cause = report.one_camera ? "the IMU's samples, or where it is, may be wrong"
+                            : report.depth_images
+                                ? "is the unit of depths another one (--depth-unit)?"
+                                : "is the baseline another one, or in another unit?";
+  return "the path has the ground truth's shape, not its scale: its lengths times " +
+         detail::fixed(report.fit->scale, 3) + " would fit, and then the RMSE is " +
+         detail::fixed(report.fit->error_m, 3) + " m: " + cause;
+}
+
 }  // namespace
 
 std::vector<std::string> reasons_of(run_report const& report) {
@@ -227,6 +238,7 @@ std::vector<std::string> warnings_of(run_report const& report) {
     if (!usual) { out.push_back(reason); }
   }
   for (std::string& said : frame_warnings_of(report)) { out.push_back(std::move(said)); }
+  if (report.fit && report.fit->off_by(most_off_scale)) { out.push_back(scale_sentence(report)); }
   fastest_step const fastest = fastest_of(report.estimate);
   if ((report.metric || report.scale) && fastest.speed > largest_speed) {
     out.push_back("the camera moves at " + fixed(fastest.speed, 1) + " m/s before pose " +

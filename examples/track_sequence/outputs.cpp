@@ -135,7 +135,9 @@ void finish(arguments const& a, seq::sequence const& sequence, map_writer const&
             seq::run_report& report) {
   report.truth = sequence.ground_truth();
   report.frame = a.frame;
-  if (!report.metric) { report.scale = seq::scale_to(report.estimate, report.truth); }
+  report.fit = seq::fit_scale(report.estimate, report.truth);
+  if (!report.metric && report.fit) { report.scale = report.fit->scale; }
+  if (!report.metric || (report.fit && !report.fit->same_shape())) { report.fit.reset(); }
   if (a.frame == "body") { move_to_body(sequence, report); }
   write_poses(a, sequence, report);
   if (report.scale) { report.estimate = seq::scaled(report.estimate, *report.scale); }
@@ -148,7 +150,8 @@ void finish(arguments const& a, seq::sequence const& sequence, map_writer const&
   }
   report.unpaired_left = sequence.unpaired().left;
   report.unpaired_right = sequence.unpaired().right;
-  report.warnings = sequence.warnings();
+  // A caller that has unpacked a recording has told what it was, in its own names.
+  if (report.warnings.empty()) { report.warnings = sequence.warnings(); }
   for (std::string const& warning : seq::warnings_of(report)) {
     report.warnings.push_back(warning);
   }

@@ -240,6 +240,7 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.time_ns = time_ns;
   record.tracked = outcome.tracked;
   record.keyframe = found.keyframe;
+  record.metric = found.metric;
   record.keypoints = found.keypoints;
   record.stereo_matches = found.stereo_points;
   record.inliers = found.inliers;

@@ -40,6 +40,7 @@ class Errors(TypedDict):
     ate_deg: Optional[float]
     ate_rotation_missing: Optional[str]
     rpe_deg: Optional[float]
+    scale: Optional[float]
     T_truth_estimate: NDArray[np.float64]
 
 
@@ -213,7 +214,10 @@ class Sequence:
         return len(self.files)
 
     def __getitem__(self, i: int) -> Frame:
-        return Frame(*self.files.load(i))
+        try:
+            return Frame(*self.files.load(i))
+        except RuntimeError as e:
+            raise RuntimeError(str(e) if self._recording is None else self._recording.named(str(e))) from None
 
     def __iter__(self) -> Iterator[Frame]:
         return (self[i] for i in range(len(self)))
@@ -256,6 +260,8 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     frames = int(max_frames)
     recording = unpacked(folder, Wanted("stereo" if rig == "mixed" else str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics),
                                         bool(str(calibration)), progress or (lambda images: None), bool(imu)))
+    if recording is not None and (fps is not None or str(times)):
+        recording.stamps = ""  # not the recording's own
     if recording is None:
         first = folder[0] if isinstance(folder, (list, tuple)) else folder
         sequence = Sequence(_ft.SequenceFiles.open(str(first), options), min_depth, max_depth)
@@ -279,7 +285,8 @@ def evaluate(poses: Union[Trajectory, Iterable[tuple[int, ArrayLike]]],
              interval_s: float = 1.0) -> Errors:
     """Errors of a trajectory: ate_m after alignment, rpe_m over interval_s, and their rotations ate_deg, rpe_deg; None
     where there is too little. ate_rotation_missing: a str, why ate_deg is None though orientations are known, such as an
-    alignment that the path does not determine; else None. orientation: whether the ground truth has orientations. Raises
+    alignment that the path does not determine; else None. scale: what lengths of the poses times it would fit the ground truth
+    best, not applied; far from 1 the unit of a baseline or of depths is another one; None where the shapes differ. orientation: whether the ground truth has orientations. Raises
     ValueError without a ground truth."""
     if truth is None:
         raise ValueError("the ground truth is None: errors need one, and not every sequence has one")

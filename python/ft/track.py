@@ -278,6 +278,7 @@ class Run:
             "keyframes": last.keyframes if last else 0, "map_points": last.map_points if last else 0,
             "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd",
             "with_imu": sequence.imu is not None, "calibration": self._calibration,
+            "warnings": sequence.warnings,
             "loops": loops, "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
             "map_position": (scale * made["position"] @ T[:3, :3].T + T[:3, 3]).tolist(),

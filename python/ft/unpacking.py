@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import glob
+import re
 import struct
 import tempfile
 import zlib
@@ -51,10 +52,29 @@ class Unpacked:
     added: dict[str, str] = field(default_factory=dict)
     replaced: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    parts: dict[str, str] = field(default_factory=dict)  # what files and folders of the folder were, by their names
+    missing: str = ""  # what the recording lacks where it holds no calibration
 
     def named(self, text: str) -> str:
-        """A message with the recording's name in place of the folder's."""
-        return text.replace(str(self.folder.resolve()), self.source).replace(str(self.folder), self.source)
+        """A message with the recording's name, and what was in it, in place of the folder and its files: nobody else sees
+        these."""
+        for folder in (str(self.folder.resolve()), str(self.folder)):
+            text = re.sub(re.escape(folder) + r"((?:/[^\s:,;'()]+)*)", lambda found: self._origin(found[1].strip("/")), text)
+        if "accepted are Kalibr's" in text:
+            text = text.replace(f"{self.source}: no such file", f"{self.source}: holds no calibration")
+            text += f"; {self.missing}" if self.missing else ""
+        return text
+
+    def _origin(self, part: str) -> str:
+        """Of a file or folder of the folder: where it comes from."""
+        file = self.folder / part
+        if part and file.is_symlink():
+            return str(file.readlink())
+        top, _, rest = part.partition("/")
+        if top not in self.parts:
+            return f"{self.source}: {part}" if part and file.exists() else self.source
+        stamp = Path(rest).stem if rest else ""
+        return self.parts[top] + (f", image of {stamp} s" if stamp else "")
 
     def described(self, lines: list[tuple[str, str]]) -> list[tuple[str, str]]:
         """Lines of the folder, as those of the recording."""

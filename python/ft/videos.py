@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Optional
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .unpacking import IMAGES, VIDEOS, Unpacked, Wanted, begin, link_calibrations, stamp_text, write_pnm
 
@@ -62,36 +64,101 @@ def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
     made = begin(str(paths[0]), "video")
     made.what = f"{' and '.join(path.name for path in paths)}, {'videos' if len(paths) == 2 else 'video'}"
     made.stamps = "those of the video"
+    found = []
     for path, name in zip(paths, ("left", "right") if len(paths) == 2 else ("images",)):
         (made.folder / name).mkdir()
-        frames, doubled = decode(cv2.VideoCapture(str(path)), path, made.folder / name, wanted)
-        if frames == 0:
-            raise RuntimeError(f"{path}: no image can be decoded: OpenCV has no decoder for it, or it is damaged")
-        if doubled:
-            made.warnings.append(f"{path}: {doubled} images left out: their stamps are not after those of the images before")
+        made.parts[name] = str(path)
+        found.append(decode(cv2.VideoCapture(str(path)), path, made.folder / name, wanted))
+        made.warnings += found[-1].doubts()
+    made.warnings += found[0].doubts_beside(found[1]) if len(found) == 2 else found[0].doubts_alone()
     if not wanted.calibration:
         link_calibrations(paths[0].resolve().parent, made.folder, lambda file: is_calibration(file, lone))
     return made
 
 
-def decode(video: object, path: Path, folder: Path, wanted: Wanted) -> tuple[int, int]:
-    """Number of images, and of those left out."""
+@dataclass
+class Decoded:
+    """What was got out of a video."""
+
+    path: Path
+    times_ns: list[int] = field(default_factory=list)
+    doubled: int = 0  # images whose stamps are not after those of the images before
+    promised: int = 0  # images by its header, where it was read to its end
+    first: Optional[NDArray[np.uint8]] = None
+
+    @property
+    def rate(self) -> float:
+        steps = np.diff(self.times_ns)
+        return 1e9 / float(np.median(steps)) if len(steps) else 0.0
+
+    def doubts(self) -> list[str]:
+        said = []
+        if self.doubled:
+            said.append(f"{self.path}: {self.doubled} images left out: their stamps are not after those of the images before")
+        got = len(self.times_ns) + self.doubled
+        if self.promised - got > max(2, 0.02 * self.promised):  # of some formats the number is an estimate
+            said.append(f"{self.path}: the video ends early: {got} images could be decoded of the {self.promised} that its header "
+                        "promises: is it cut off, or damaged?")
+        return said
+
+    def doubts_beside(self, other: Decoded) -> list[str]:
+        """Of the left video of a pair."""
+        a, b = self.rate, other.rate
+        if a and b and abs(a - b) > 0.005 * a:
+            return [f"the videos of the pair have different rates, {a:.4g} and {b:.4g} images a second: pairs are images of the "
+                    "same time, and few of them are"]
+        if abs(len(self.times_ns) - len(other.times_ns)) > 1:
+            return [f"the videos of the pair have different lengths, {len(self.times_ns)} and {len(other.times_ns)} images: pairs "
+                    "are images of the same time since the begin of each: do both begin at one time?"]
+        return []
+
+    def doubts_alone(self) -> list[str]:
+        """Of the only video."""
+        if self.first is None or not both_in_one(self.first):
+            return []
+        return [f"{self.path}: the left and the right half of the image look alike: are both images of a pair side by side? It is "
+                f"tracked as one camera; to split it: ffmpeg -i {self.path} -vf crop=iw/2:ih:0:0 left.mp4, and "
+                "crop=iw/2:ih:iw/2:0 for right.mp4"]
+
+
+def both_in_one(grey: NDArray[np.uint8]) -> bool:
+    """Whether the halves of a wide image show the same, moved along the rows by up to a quarter."""
+    import cv2
+
+    height, width = grey.shape
+    if width < 1.9 * height:
+        return False
+    small = np.asarray(cv2.resize(grey, (128, 48), interpolation=cv2.INTER_AREA), np.float64)
+    left, right = small[:, :64], small[:, 64:]
+    best = 0.0
+    for moved in range(17):
+        a, b = left[:, moved:], right[:, :64 - moved]
+        a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)  # sky and ground are alike everywhere
+        size = float(np.sqrt((a * a).sum() * (b * b).sum()))
+        best = max(best, float((a * b).sum()) / size if size > 0 else 0.0)
+    return best > 0.5  # of pairs 0.66 or more, of images of one camera 0.4 at most
+
+
+def decode(video: object, path: Path, folder: Path, wanted: Wanted) -> Decoded:
+    """Raises RuntimeError where there is no image."""
     import cv2
 
     assert isinstance(video, cv2.VideoCapture)
-    written = doubled = 0
-    last_ns = -1
-    while not wanted.max_frames or written < wanted.max_frames:
+    made = Decoded(path)
+    while not wanted.max_frames or len(made.times_ns) < wanted.max_frames:
         good, image = video.read()
         if not good:
+            made.promised = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
             break
         time_ns = round(1e6 * video.get(cv2.CAP_PROP_POS_MSEC))
-        if time_ns <= last_ns:
-            doubled += 1
+        if made.times_ns and time_ns <= made.times_ns[-1]:
+            made.doubled += 1
             continue
-        last_ns = time_ns
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        write_pnm(folder / f"{stamp_text(time_ns)}.pgm", np.asarray(grey, np.uint8))
-        written += 1
-        wanted.progress(written)
-    return written, doubled
+        grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        write_pnm(folder / f"{stamp_text(time_ns)}.pgm", grey)
+        made.first = grey if made.first is None else made.first
+        made.times_ns.append(time_ns)
+        wanted.progress(len(made.times_ns))
+    if not made.times_ns:
+        raise RuntimeError(f"{path}: no image can be decoded: OpenCV has no decoder for it, or it is damaged")
+    return made

@@ -34,6 +34,7 @@ seq::frame_record record_of(nb::handle given) {
   r.tracked = nb::cast<bool>(given[2]);
   r.stage_ms = nb::cast<std::vector<double>>(given[3]);
   r.keyframe = t.keyframe;
+  r.metric = t.metric;
   r.keypoints = t.keypoints;
   r.stereo_matches = t.stereo_points;
   r.inliers = t.inliers;
@@ -106,6 +107,7 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
   r.keyframes = count("keyframes");
   r.map_points = count("map_points");
   r.maps = count("maps");
+  r.warnings = nb::cast<std::vector<std::string>>(run["warnings"]);
   r.calibration = nb::cast<std::vector<std::string>>(run["calibration"]);
   r.one_camera = flag("one_camera");
   r.depth_images = flag("depth_images");

@@ -244,8 +244,12 @@ void bind_sequences(nb::module_& m) {
               "the ground truth is empty: errors need one, and not every sequence has one");
         }
         try {
-          return errors_of(
+          nb::dict d = errors_of(
               seq::evaluate(estimate, reference, orientation, number(interval_s, "interval_s")));
+          auto const fit = seq::fit_scale(estimate, reference);
+          d["scale"] = fit && fit->same_shape() ? nb::object(nb::float_(fit->scale))
+                                                : nb::object(nb::none());
+          return d;
         } catch (seq::error const& e) { throw argument_error(e.what()); }
       },
       nb::arg("time_ns").none(), nb::arg("poses").none(), nb::arg("truth_time_ns").none(),

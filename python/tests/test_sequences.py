@@ -85,6 +85,12 @@ def test_a_sequence_is_tracked(folder):
     moved[:3, 3] = (1, 2, 3)
     again = ft.evaluate([(t, moved @ T) for t, T in poses], truth)
     assert abs(again["ate_m"] - errors["ate_m"]) < 1e-9
+    assert errors["scale"] == pytest.approx(1, abs=0.03)
+    larger = [(t, T.copy()) for t, T in poses]
+    for _, T in larger:
+        T[:3, 3] *= 5
+    assert ft.evaluate(larger, truth)["scale"] == pytest.approx(errors["scale"] / 5)
+    assert ft.evaluate([(t, np.eye(4)) for t, _ in poses], truth)["scale"] is None
 
 
 def test_a_rotation_error_that_is_missing_has_its_reason():
@@ -211,7 +217,8 @@ def test_depth_images_are_read(folder_with_depth):
     poses = [(f.time_ns, odometry.track(*f.images, f.time_ns).T_world_camera) for f in sequence]
     errors = ft.evaluate(poses, sequence.ground_truth)
     assert errors["pairs"] == 12 and errors["ate_m"] < 0.005
-    assert abs(ft.read_sequence(folder_with_depth).rig.depth_scale - 1 / 5000) < 1e-12
+    with pytest.warns(UserWarning, match="--depth-unit 0.001"):
+        assert abs(ft.read_sequence(folder_with_depth).rig.depth_scale - 1 / 5000) < 1e-12
     single = ft.read_sequence(folder_with_depth, rig="mono")
     assert single.kind == "mono" and len(single[0].images) == 1
     for bad in ({"depth_unit": 0}, {"depth_unit": float("nan")}, {"rig": "odd"}, {"max_time_difference_ns": 0.5}, {"max_time_difference_ns": -1}):
@@ -222,7 +229,9 @@ def test_depth_images_are_read(folder_with_depth):
 
 
 def test_one_camera_is_read(folder_of_one, folder_with_truth):
-    for sequence in (ft.read_sequence(folder_of_one), ft.read_sequence(folder_with_truth, rig="mono")):
+    with pytest.warns(UserWarning, match="no images of the second one"):
+        alone = ft.read_sequence(folder_of_one)
+    for sequence in (alone, ft.read_sequence(folder_with_truth, rig="mono")):
         assert sequence.kind == "mono" and len(sequence) == 12 and isinstance(sequence.rig, ft.MonocularCamera)
         odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, features=1000, device="host")
         tracked = [odometry.track(*f.images, f.time_ns).tracked for f in sequence]
@@ -235,7 +244,7 @@ def test_what_a_recording_lacks_is_a_warning(folder_with_depth, tmp_path):
     lines = (root / "rgb.txt").read_text().splitlines(keepends=True)
     (root / "rgb.txt").write_text("".join([*lines[:5], lines[4], *lines[5:]]))
     with pytest.warns(UserWarning, match="rgb.txt"):
-        sequence = ft.read_sequence(root)
+        sequence = ft.read_sequence(root, depth_unit=0.0002)
     assert len(sequence) == 12 and len(sequence.warnings) == 1
 
 

@@ -122,8 +122,19 @@ TEST(CheckCalibration, AnotherSizesCalibration) {
   auto const rig = ft::monocular_rig<lens>{euroc_left()};
   EXPECT_EQ(words(rig, 376, 240), "principal_point");
   EXPECT_EQ(words(rig, 1504, 960).substr(0, 15), "principal_point");
-  EXPECT_TRUE(
-      says(rig, "(367.215, 248.375) is outside the middle half of images of 376x240", 376, 240));
+  EXPECT_TRUE(says(
+      rig,
+      "(367.215, 248.375) is not within 20 % of the sides from the centre of images of 376x240",
+      376, 240));
+  // The centre of the half image lies on a quarter of the whole one.
+  auto const centred = [](float cx, float cy) {
+    return words(ft::monocular_rig<ft::pinhole<float>>{{300, 300, cx, cy}}, 640, 480);
+  };
+  EXPECT_EQ(centred(160, 120), "principal_point");
+  EXPECT_EQ(centred(160, 240), "principal_point");  // an image with the other one beside it
+  EXPECT_EQ(centred(320, 480), "principal_point");
+  EXPECT_EQ(centred(193, 145), "");
+  EXPECT_EQ(centred(447, 335), "");
   EXPECT_EQ(words(ft::monocular_rig<lens>{euroc_left()}, 480, 752), "principal_point");  // turned
   auto const of = [](float fx, float fy) {
     return ft::monocular_rig<ft::pinhole<float>>{{fx, fy, 320, 240}};

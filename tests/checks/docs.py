@@ -75,8 +75,14 @@ def warnings_of(headers):
     return names, sentences
 
 
-def problems_of_warnings(page, headers):
-    """What the page lacks, and what it has that is in no header: in the first column of its tables."""
+def texts_of_recordings():
+    """What the readers of recordings and the reports of runs say."""
+    files = [file for pattern in ("examples/sequence/*.cpp", "python/ft/*.py") for file in ROOT.glob(pattern)]
+    return [text for file in files for text in texts(file.read_text(encoding="utf-8"))]
+
+
+def problems_of_warnings(page, headers, others):
+    """What the page lacks, and what it has that is in no header and not in `others`: in the first column of its tables."""
     names, sentences = warnings_of(headers)
     quoted = [name for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE) for name in re.findall(r"`([^`]+)`", row)]
     known = {name for kind in names.values() for name in kind}
@@ -90,8 +96,8 @@ def problems_of_warnings(page, headers):
     for name in quoted:
         if re.fullmatch(r"\w+", name) and name not in known and not any(name in part for parts in sentences for part in parts):
             yield f"'{name}' is no warning"
-        if len(name.split()) > 3 and not any(name in part for parts in sentences for part in parts):
-            yield f"'{name}' is in no sentence of imu_warnings()"
+        if len(name.split()) > 3 and not any(name in part for parts in [*sentences, others] for part in parts):
+            yield f"'{name}' is in no sentence of imu_warnings(), nor of the readers of recordings"
 
 
 def main():
@@ -104,7 +110,7 @@ def main():
                 problems.append(f"{page.relative_to(ROOT)}: the snippet that begins with '{first}' is in no source file")
     failing = ROOT / "docs" / "when_it_fails.md"
     headers = [header.read_text(encoding="utf-8") for header in sorted((ROOT / "include" / "ft").rglob("*.hpp"))]
-    for problem in problems_of_warnings(failing.read_text(encoding="utf-8"), headers):
+    for problem in problems_of_warnings(failing.read_text(encoding="utf-8"), headers, texts_of_recordings()):
         problems.append(f"{failing.relative_to(ROOT)}: {problem}")
     checked = 0
     for page in pages():

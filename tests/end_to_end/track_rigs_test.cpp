@@ -3,6 +3,7 @@
 /// units or calibrations are not as they should be. All on the host executor.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -118,6 +119,15 @@ TEST(DepthCamera, UnitAndRangeAreOptions) {
   ASSERT_TRUE(succeeded(o));
   EXPECT_TRUE(contains(o.out, "0.0002 m a unit, assumed, as TUM RGB-D has it"));
   EXPECT_NEAR(last_x(folder), 0.2 * 0.02 * (plane_frames - 1), 0.001);
+  json const assumed = summary_of(folder);
+  strings const said = assumed.at("warnings").get<strings>();
+  auto const is_said = [&](char const* words) {
+    return std::any_of(said.begin(), said.end(),
+                       [&](std::string const& w) { return contains(w, words); });
+  };
+  EXPECT_TRUE(is_said("--depth-unit 0.001")) << o;
+  EXPECT_TRUE(is_said("the path has the ground truth's shape, not its scale")) << o;
+  EXPECT_NEAR(assumed.at("scale_to_truth").get<double>(), 5, 0.3);
   ASSERT_TRUE(succeeded(track(folder.path(), folder.path("out"), {"--depth-unit", "0.002"})));
   EXPECT_NEAR(last_x(folder), 2 * 0.02 * (plane_frames - 1), 0.006);
   for (strings const& range : {strings{"--min-depth", "2.1"}, strings{"--max-depth", "1.9"}}) {

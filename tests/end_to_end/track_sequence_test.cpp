@@ -149,7 +149,10 @@ void expect_one_camera_tracks(std::string const& sequence, int frames, bool scal
   EXPECT_FALSE(summary.at("stages").contains("stereo"));
   EXPECT_LT(summary.at("ate_rmse_m").get<double>(), 0.02);
   auto const path = seq::read_tum(folder.path("out/trajectory.txt"));
-  if (!scale_known) { EXPECT_EQ(path.size(), summary.at("tracked").get<std::size_t>()); }
+  auto const before = summary.at("without_scale").get<std::size_t>();
+  EXPECT_EQ(path.size() + before, summary.at("tracked").get<std::size_t>());
+  EXPECT_EQ(before > 0, scale_known);
+  EXPECT_EQ(contains(o.out, "before the IMU told it: not in the trajectory"), scale_known);
   EXPECT_EQ(path.size(), summary.at("pairs").get<std::size_t>());
 }
 TEST(Track, OneCamera) { expect_one_camera_tracks(generated(many), many, false); }

@@ -247,6 +247,22 @@ TEST(WarningsOfFrames, EachHasItsCause) {
   }
 }
 
+TEST(WarningsOfFrames, APairThatNeverFitsIsNotCalledLate) {
+  auto const said = [](double usual) {
+    ft::tracking t = good();
+    t.evidence.usual_stereo_share = usual;
+    return ft::text_of(warning::stereo_inconsistent, t, ft::odometry_params{});
+  };
+  std::string const exchanged = "are left and right exchanged";
+  EXPECT_NE(said(0).find(exchanged), std::string::npos);
+  EXPECT_NE(said(0.29).find(exchanged), std::string::npos);
+  EXPECT_EQ(said(0.6).find(exchanged), std::string::npos);
+  for (double const usual : {0.0, 0.6}) {
+    EXPECT_NE(said(usual).find("at the same time"), std::string::npos);
+    EXPECT_NE(said(usual).find("and of their lens"), std::string::npos);
+  }
+}
+
 TEST(WarningsOfFrames, WhatIsRightHasNone) {
   void (*const changes[])(ft::tracking&) = {
       // It hardly moves, and so do the images.

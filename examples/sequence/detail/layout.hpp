@@ -43,7 +43,9 @@ struct layout_of_files {
   std::vector<frame_files> frames;  ///< sorted by time
   std::vector<camera_images> more;  ///< cameras beside the pair, cam2 ...
   unpaired_images unpaired;
-  std::string stamps_from;  ///< for people: which file, or the names
+  std::string stamps_from;    ///< for people: which file, or the names
+  std::string second_folder;  ///< for people: where images of a second camera would be
+  bool of_tum = false;        ///< a recording of the TUM RGB-D benchmark itself
   std::vector<std::string> warnings;
 };
 
@@ -105,7 +107,12 @@ raw_ground_truth find_ground_truth(layout_of_files const& layout,
 calibration find_calibration(layout_of_files const& layout, open_options const& options,
                              recording_source& source);
 
-/// Nothing, with the reason in `source`, unless there are samples, noise and place of an IMU.
+/// Says in `files` where the calibration has a second camera, and no images of it were found.
+void check_second_camera(layout_of_files& files, open_options const& options,
+                         calibration const& calib);
+
+/// Nothing, with the reason in `source`, unless there are samples, noise and place of an IMU. Where
+/// there are samples, `warnings` has the reason, too.
 /// @param T_body_left of loaded frames @throws seq::error
 std::optional<imu_recording> find_imu(layout_of_files const& layout, calibration const& calib,
                                       Eigen::Isometry3d const& T_body_left,

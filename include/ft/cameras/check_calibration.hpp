@@ -29,7 +29,7 @@ enum class calibration_warning : int {
   not_finite,          ///< a number is NaN or infinite
   refused,             ///< check() of the camera or the rig refuses it
   focal_length,        ///< not one of images of this size
-  principal_point,     ///< outside the middle half of the image
+  principal_point,     ///< farther from the image's centre than real ones
   folds,               ///< pixels of the image have no ray: the distortion folds inside it
   baseline_long,       ///< above 2 m: millimetres?
   baseline_short,      ///< below 5 mm: metres are asked for
@@ -64,6 +64,9 @@ struct calibration_limits {
   double largest_focal_ratio = 1.5;   ///< of fx and fy, either way
   double largest_rotation = 60;       ///< degrees between the two cameras of a pair
   double least_share_with_ray = 0.4;  ///< of pixels; of radial-tangential lenses all
+  /// Of the image's sides, from its centre to the principal point. One in the centre of an image
+  /// of half the size, or of the double one, is a quarter of a side or more away.
+  double largest_offset = 0.2;
 };
 
 namespace detail {
@@ -195,14 +198,15 @@ private:
     }
   }
   void principal_point(std::string const& which, vec2<double> p, int width, int height) {
-    if (p.x >= 0.25 * width && p.x <= 0.75 * width && p.y >= 0.25 * height &&
-        p.y <= 0.75 * height) {
+    double const most = limits_.largest_offset;
+    if (std::fabs(p.x - 0.5 * width) <= most * width &&
+        std::fabs(p.y - 0.5 * height) <= most * height) {
       return;
     }
     add(calibration_warning::principal_point,
-        which + ": the principal point (" + brief(p.x) + ", " + brief(p.y) +
-            ") is outside the middle half of images of " + size_text(width, height) +
-            ": is the calibration that of another size?");
+        which + ": the principal point (" + brief(p.x) + ", " + brief(p.y) + ") is not within " +
+            brief(100 * most) + " % of the sides from the centre of images of " +
+            size_text(width, height) + ": is the calibration that of another size?");
   }
   template <typename Camera>
   void domain(std::string const& which, Camera const& camera, int width, int height) {

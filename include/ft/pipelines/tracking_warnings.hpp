@@ -192,6 +192,15 @@ inline std::string share_of(double part, double of) {
   return std::to_string(of > 0 && part > 0 ? static_cast<int>(100 * part / of) : 0) + " %";
 }
 
+/// What to ask of a pair that does not fit. Images that never had many matches are not late ones.
+inline std::string stereo_question(tracking_evidence const& e) {
+  bool const had_many = e.usual_stereo_share >= warning_limits{}.least_stereo_share;
+  return had_many ? "are both images taken at the same time, and is the calibration that of these "
+                    "cameras and of their lens?"
+                  : "are left and right exchanged, is the calibration that of these cameras and of "
+                    "their lens, and are both images taken at the same time?";
+}
+
 }  // namespace detail
 
 /// A warning, and a sentence that has the numbers; no full stop at its end.
@@ -237,9 +246,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              detail::share_of(e.usual_stereo_share, 1) + ", and " +
              std::to_string(f.off_disparity) + " of " + std::to_string(f.with_disparity) +
              " do not agree with the map; of the variance of their errors neighbours share " +
-             detail::share_of(f.common_disparity, 1024) +
-             ": are both images taken at the same time? " + std::to_string(e.ambiguous) +
-             " depths may be others, for their rows repeat";
+             detail::share_of(f.common_disparity, 1024) + ": " + detail::stereo_question(e) + " " +
+             std::to_string(e.ambiguous) + " depths may be others, for their rows repeat";
     case tracking_warning::depth_scale:
       return std::to_string(t.distant_points) + " of " + std::to_string(t.stereo_points) +
              " depths are beyond " + number(static_cast<double>(distant_baselines)) + " baselines";

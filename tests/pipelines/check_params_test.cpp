@@ -70,7 +70,7 @@ TEST(check_params, names_the_value_and_the_limits) {
   EXPECT_EQ(said([](auto& p) {
               p.overlap[0] = {500, 100};
             }),
-            "ft: overlap[0].left is 500, overlap[0].right is 100, left must not be above right");
+            "ft: overlap[0] is [500, 100], its left end must not be above its right end");
   EXPECT_EQ(said([](auto& p) { p.imu.T_bc.R.m[1] = 0.5; }),
             "ft: the rotation of imu.T_bc is not a rotation: the product of its rows 0 and 0 is "
             "1.25, must be 1");
@@ -182,8 +182,10 @@ int refuse_each(Whole const& whole, Params& params, std::string const& path) {
     Params const good = params;
     params =
         std::is_same<Params, int>::value ? Params(-1) : std::numeric_limits<Params>::quiet_NaN();
-    // Of the entries of a rotation the matrix is named.
-    std::string const name = path.substr(0, path.find(".R.m["));
+    std::string name = path;
+    for (char const* of_whole : {".R.m[", ".left", ".right"}) {  // of which the whole is named
+      name = name.substr(0, name.find(of_whole));
+    }
     EXPECT_NE(refusal(whole).find(name), std::string::npos)
         << path << " is not checked; said was: " << refusal(whole);
     params = good;

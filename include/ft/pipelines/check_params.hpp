@@ -55,10 +55,9 @@ namespace detail {
 inline void check_overlaps(stereo_overlap const (&overlap)[2]) {
   for (int i = 0; i < 2; ++i) {
     if (!(overlap[i].left <= overlap[i].right)) {  // also rejects NaN
-      std::string const name = "overlap[" + std::to_string(i) + "]";
-      throw bad_argument("ft: " + name + ".left is " + number_text(overlap[i].left) + ", " + name +
-                         ".right is " + number_text(overlap[i].right) +
-                         ", left must not be above right");
+      throw bad_argument("ft: overlap[" + std::to_string(i) + "] is [" +
+                         number_text(overlap[i].left) + ", " + number_text(overlap[i].right) +
+                         "], its left end must not be above its right end");
     }
   }
 }

@@ -189,7 +189,9 @@ class Odometry:
         self._pipeline.add_imu(time_ns, accel, gyro, b)
 
     def predict(self, T_world_camera: ArrayLike, b: int = 0) -> None:
-        """Where the camera is expected in the next frame, (4, 4) float64."""
+        """Where the camera is expected in the next frame, (4, 4) float64: instead of the motion model and of an IMU's prediction
+        (imu_predicted is False then). Where there is no map yet, before the first frame or after reset(), the prediction is
+        forgotten: the map begins at the origin."""
         self._pipeline.predict(_matrix(T_world_camera, "T_world_camera"), b)
 
     def reset(self, b: int = 0) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import os
 import signal
 import sys
@@ -87,6 +88,11 @@ def make_odometry(arguments: argparse.Namespace, sequence: ft.Sequence,
                                threads=arguments.threads, loops=arguments.loops, measure_stages=measure_stages,
                                map_slots=slots, local_points=local, window_points=window, **settings)
     return odometry, settings
+
+
+def value_of(settings: Settings, name: str) -> Any:
+    """Of a setting of ft.Odometry, whose default holds where there is none."""
+    return settings.get(name, inspect.signature(ft.Odometry).parameters[name].default)
 
 
 def duration_text(seconds: float) -> str:
@@ -269,9 +275,9 @@ class Run:
             "version": ft.__version__, "command": ["python", "-m", "ft", *sys.argv[1:]], "date": self._date,
             "threads": 0 if backend_of(a.backend) == "cuda" else threads_of(a.threads),
             "backend": backend_of(a.backend), "width": sequence.width, "height": sequence.height,
-            "options": {"features": str(settings["features"]), "levels": str(settings.get("levels", 8)),
+            "options": {"features": str(settings["features"]), "levels": str(value_of(settings, "levels")),
                         "layout": sequence.layout, "rig": rig, "frame": a.frame,
-                        "near points, baselines": f"{settings.get('near_depth', 50.0):f}"},
+                        "near points, baselines": f"{value_of(settings, 'near_depth'):f}"},
             "stages": [*stages, "total"],
             "records": [(i, t, tracked, [*(ms.get(name, 0.0) for name in stages), total], pose)
                         for i, t, tracked, ms, total, pose in self.records],

@@ -550,7 +550,7 @@ void bind_tracking(nb::module_& m) {
           "the pose was optimised with the IMU")
       .def_prop_ro(
           "imu_predicted", [](tracking const& t) { return t.of.imu.predicted; },
-          "the pose was predicted with the IMU")
+          "the pose was predicted with the IMU, not by predict()")
       .def_prop_ro(
           "imu_rate_hz", [](tracking const& t) { return t.of.imu.rate_hz; },
           "at which the last samples came, by their times; 0 = unknown")

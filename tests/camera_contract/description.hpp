@@ -25,7 +25,7 @@ struct description {
 
   /// True where directions behind the plane z = 0 have a valid pixel; false: none has one.
   static constexpr bool sees_behind = false;
-  /// An angle off the axis that a model which sees behind does see, degrees.
+  /// An angle off the axis that a model which sees behind does see all around, degrees, 90 to 180.
   static constexpr double behind_degrees = 95;
   /// Least share of the image's pixels that have a valid ray.
   static constexpr double least_share = 0.9;

@@ -84,7 +84,12 @@ protected:
     auto const got = this->template ask<Scalar>(base::in_directions(behind));
     for (std::size_t i = 0; i < got.size(); ++i) {
       auto const& seen = got[i].of_point;
-      if (!lens::sees_behind) { ASSERT_EQ(seen.valid, 0) << "z = " << behind[i].z; }
+      if (!lens::sees_behind) {
+        ASSERT_EQ(seen.valid, 0)
+            << "z = " << behind[i].z << " has a valid pixel. A lens that sees behind its plane "
+            << "says so in its description: sees_behind = true, and with behind_degrees, an angle "
+            << "above 90 that it sees";
+      }
       ASSERT_TRUE(std::isfinite(seen.pixel.x) && std::isfinite(seen.pixel.y))
           << "a pixel that is not valid is still a number; z = " << behind[i].z;
     }
@@ -94,7 +99,9 @@ protected:
       seen.push_back(direction(lens::behind_degrees * pi / 180, i * pi / 4));
     }
     for (auto const& a : this->template ask<Scalar>(base::in_directions(seen))) {
-      EXPECT_EQ(a.of_point.valid, 1) << lens::behind_degrees << " degrees off the axis";
+      EXPECT_EQ(a.of_point.valid, 1)
+          << "no valid pixel " << lens::behind_degrees << " degrees off the axis: the description "
+          << "says sees_behind = true and behind_degrees = " << lens::behind_degrees;
     }
   }
 

@@ -6,6 +6,7 @@
 #include <limits>
 #include <random>
 
+#include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
@@ -19,6 +20,40 @@ inline ft::kannala_brandt<double> fisheye() {
   return {190.97847715128717,     190.9733070521226,     254.93170605935475,
           256.8974428996504,      0.0034823894022493434, 0.0007150348452162257,
           -0.0020532361418706202, 0.00020293673591811182};
+}
+
+// As ft/cameras/camera_model.hpp prints the contract.
+template <typename Scalar>
+struct my_camera {
+  using scalar_type = Scalar;
+  static constexpr char const* name = "my_camera";
+  static constexpr auto parameters = ft::camera_parameters({{"k", -1, 1}});
+  Scalar fx, fy, cx, cy, k;
+
+  FT_HOST_DEVICE ft::projection<Scalar> project(ft::vec3<Scalar> p) const;
+  FT_HOST_DEVICE ft::projection_with_jacobian<Scalar> project_with_jacobian(
+      ft::vec3<Scalar> p) const;
+  FT_HOST_DEVICE ft::ray<Scalar> unproject(ft::vec2<Scalar> pixel) const;
+  template <typename U>
+  FT_HOST_DEVICE my_camera<U> cast() const {
+    return ft::cast_camera<my_camera<U>>(*this);
+  }
+  void check() const { ft::check_camera(*this); }
+};
+/// What of it does not depend on the scalar's name.
+struct without_scalar_type {
+  static constexpr char const* name = "without_scalar_type";
+  static constexpr auto parameters = ft::camera_parameters();
+  float fx, fy, cx, cy;
+};
+
+TEST(camera_model_unit, is_what_keeps_the_printed_contract) {
+  EXPECT_TRUE(ft::is_camera_model_v<my_camera<float>>);
+  EXPECT_TRUE(ft::assert_camera_model<my_camera<float>>::value);
+  EXPECT_TRUE((ft::detail::is_expression<ft::detail::camera_scalar, my_camera<float>>));
+  EXPECT_FALSE(ft::is_camera_model_v<without_scalar_type>);
+  EXPECT_FALSE((ft::detail::is_expression<ft::detail::camera_scalar, without_scalar_type>));
+  EXPECT_TRUE((ft::detail::is_expression<ft::detail::camera_names, without_scalar_type>));
 }
 
 TEST(kannala_brandt_unit, beyond_a_right_angle_rays_are_not_valid) {

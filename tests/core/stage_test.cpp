@@ -57,6 +57,22 @@ struct with_old_names {
   static constexpr int side_by_side = 2;
 };
 struct that_inherits : with_all {};
+struct without_scratch {
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, ft::no_scratch&, int, int*) const {}
+};
+struct that_changes {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int, int*) {}  // not const
+};
+struct with_hidden_operator {
+  using scratch = ft::no_scratch;
+
+private:
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int, int*) const {}
+};
 
 template <typename Op>
 constexpr bool takes_pointer = hooks::takes_prologue<Op, ft::single_group, void, int*>;
@@ -76,6 +92,23 @@ TEST(stage_hooks, are_seen) {
   EXPECT_EQ(all::extra_bytes({}), 96u);
   EXPECT_FALSE(hooks::stage_traits<that_says_no>::wide_on_host);
   EXPECT_TRUE(hooks::stage_traits<that_inherits>::has_prologue);
+}
+
+template <typename Op>
+constexpr bool runs = hooks::takes_item<Op, ft::single_group, void, int*>;
+
+TEST(stage_form, is_known_before_a_stage_is_compiled) {
+  EXPECT_TRUE(runs<plain>);
+  EXPECT_TRUE(runs<with_all>);
+  EXPECT_TRUE(runs<that_inherits>);
+  EXPECT_FALSE(hooks::has_scratch<without_scratch>);
+  EXPECT_FALSE(runs<without_scratch>);
+  EXPECT_TRUE(hooks::has_scratch<that_changes>);
+  EXPECT_FALSE(runs<that_changes>);
+  EXPECT_FALSE(runs<with_hidden_operator>);
+  EXPECT_FALSE((hooks::takes_item<plain, ft::single_group, void, float*>));
+  EXPECT_FALSE((hooks::takes_item<plain, ft::single_group, void>));
+  EXPECT_TRUE((hooks::is_stage<plain, ft::single_group, int*>()));
 }
 
 TEST(stage_hooks, of_another_form_are_not_taken_for_absent) {

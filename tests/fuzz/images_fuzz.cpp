@@ -29,7 +29,7 @@ ft::orb_params any_params(fuzz::input& in) {
   p.levels = in.within(0, 17);
   p.scale_factor = in.number(1.0f, 2.1f);
   p.ini_threshold = in.within(-1, 256);
-  p.min_threshold = in.within(-1, 256);
+  p.min_threshold = in.within(-1, p.ini_threshold + 1);
   if (in.flag()) {
     p.mask_width = in.within(-1, 40);
     p.mask_height = in.within(-1, 40);

@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "ft/pipelines/detail/odometry_inertial.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/plain_map.hpp"
 
@@ -159,10 +160,15 @@ TYPED_TEST(PredictInertialFrames, TakeTheMeanRateForOneThatIsUnknown) {
 TYPED_TEST(PredictInertialFrames, LeaveThePoseToACallerWhoPredictsIt) {
   TypeParam backend;
   room<typename TypeParam::exec_type> r(backend.exec);
+  EXPECT_EQ(r.predict(), ft::inertial_source::last_frame);
+  EXPECT_TRUE(ft::detail::imu_tracking_of(r.imu()).predicted);
+  r.data.host.T_cw->t.x = 0;
   r.data.host.input->predicted = 1;
   EXPECT_EQ(r.predict(), ft::inertial_source::last_frame);
   EXPECT_EQ(r.track().guided, 0);
   EXPECT_EQ(r.data.host.T_cw->t.x, 0);
+  EXPECT_TRUE(ft::detail::imu_tracking_of(r.imu()).known);
+  EXPECT_FALSE(ft::detail::imu_tracking_of(r.imu()).predicted);
 }
 
 }  // namespace begin_inertial_test

@@ -225,10 +225,10 @@ TEST(ImuCalibration, RefusesNoiseThatIsNone) {
   float const nan = std::numeric_limits<float>::quiet_NaN();
   EXPECT_TRUE(names(with(&ft::imu_noise::rate_hz, 0), "rate_hz is 0"));
   EXPECT_TRUE(names(with(&ft::imu_noise::rate_hz, nan), "rate_hz is nan"));
-  EXPECT_TRUE(names(with(&ft::imu_noise::gyro, 0), "imu gyro noise is 0"));
-  EXPECT_TRUE(names(with(&ft::imu_noise::accel, -1), "imu accelerometer noise is -1"));
-  EXPECT_TRUE(names(with(&ft::imu_noise::gyro_walk, nan), "imu gyro walk is nan"));
-  EXPECT_TRUE(names(with(&ft::imu_noise::accel_walk, HUGE_VALF), "imu accelerometer walk is inf"));
+  EXPECT_TRUE(names(with(&ft::imu_noise::gyro, 0), "imu.noise.gyro is 0"));
+  EXPECT_TRUE(names(with(&ft::imu_noise::accel, -1), "imu.noise.accel is -1"));
+  EXPECT_TRUE(names(with(&ft::imu_noise::gyro_walk, nan), "imu.noise.gyro_walk is nan"));
+  EXPECT_TRUE(names(with(&ft::imu_noise::accel_walk, HUGE_VALF), "imu.noise.accel_walk is inf"));
 }
 
 TEST(ImuCalibration, MakesARotationOfDigitsThatWereCut) {
@@ -260,7 +260,7 @@ TEST(ImuCalibration, RefusesMountsThatAreNone) {
   EXPECT_TRUE(names(refused(T), "reflection"));
   T = ft::rigid<double>::identity();
   T.t.y = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_TRUE(names(refused(T), "imu T_bc y is nan"));
+  EXPECT_TRUE(names(refused(T), "imu.T_bc.t.y is nan"));
 }
 
 struct rotate_each {

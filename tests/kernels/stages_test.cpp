@@ -321,7 +321,7 @@ TEST_F(stage_parity, features_and_stereo_of_images) {
         c.params.levels = g.from_to(1, 9);
         c.params.scale_factor = g.real(1.1f, 1.4f);
         c.params.ini_threshold = g.from_to(5, 40);
-        c.params.min_threshold = g.from_to(0, 12);
+        c.params.min_threshold = std::min(g.from_to(0, 12), c.params.ini_threshold);
       }
       int const batch = 1 + variant % 4;
       for (int i = 0; i < batch; ++i) {

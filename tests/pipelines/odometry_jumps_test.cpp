@@ -10,6 +10,7 @@
 #include "tests/support/backends.hpp"
 #include "tests/support/effort.hpp"
 #include "tests/support/example_rigs.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/random.hpp"
 #include "tests/support/room.hpp"
 
@@ -78,6 +79,65 @@ TYPED_TEST(OdometryJumps, AreFollowedOrNotTracked) {
   // Windows around the last pose alone find fewer.
   auto const before = jump(backend.exec, jumps, 0.5f, 0.45f, false);
   EXPECT_LT(before.right, found.right);
+}
+
+/// As in docs/extending.md. @param T_last_now how the vehicle has moved since the last frame
+/// @param T_base_camera where the camera is on the vehicle
+template <typename Odometry>
+ft::tracking track_with_wheels(Odometry& odo, ft::stereo_images const& images, std::int64_t time_ns,
+                               ft::rigid<double> const& T_last_now,
+                               ft::rigid<double> const& T_base_camera) {
+  odo.predict(odo.last().T_world_camera * T_base_camera.inverse() * T_last_now * T_base_camera);
+  return odo.track(images, time_ns);
+}
+
+TYPED_TEST(OdometryJumps, AreFollowedByWheels) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const walls = test::room::make_walls(1);
+  auto params = test::room::odometry_params(4096);
+  params.rules.matches_without_window = false;  // so that nothing else finds the camera
+  ft::odometry driven(backend.exec, rig, params);
+  ft::odometry blind(backend.exec, rig, params);
+  test::motion const T_base_camera = test::turn({0.3, -0.2, 0.1}, {0.4, 0.1, -0.3});
+  test::motion const base = test::turn({0, 0.2, 0}, {0, 0, 1}) * T_base_camera.inverse();
+  test::motion const moves[] = {test::motion::identity(), test::turn({0, 0.3, 0}, {0.3, 0, 0.1}),
+                                test::turn({0.1, -0.3, 0}, {-0.2, 0.1, 0.2})};
+  test::motion now = base;
+  int blind_inliers = 0, inliers = 0;
+  std::int64_t time = 0;
+  for (test::motion const& move : moves) {
+    now = now * move;
+    auto const frame = see(rig, walls, now * T_base_camera);
+    auto const t = track_with_wheels(driven, images_of(frame), time += period, move, T_base_camera);
+    auto const truth = (base * T_base_camera).inverse() * now * T_base_camera;
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << time;
+    EXPECT_LT(distance(t.T_world_camera.t, truth.t), 0.03) << time;
+    inliers += t.inliers;
+    blind_inliers += blind.track(images_of(frame), time).inliers;
+  }
+  EXPECT_LT(blind_inliers, inliers / 2);
+}
+
+/// The first frame of a map is its origin, whatever was predicted.
+TYPED_TEST(OdometryJumps, AreNotPredictedWhereThereIsNoMap) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto const frames = test::room::make_walk(rig, 0, 3);
+  ft::odometry plain(backend.exec, rig, test::room::odometry_params(4096));
+  ft::odometry odo(backend.exec, rig, test::room::odometry_params(4096));
+  auto const run = [&] {
+    odo.predict(test::turn({0, 0, 0}, {5, 0, 0}));
+    std::int64_t time = 0;
+    for (auto const& f : frames) {
+      auto const t = odo.track(images_of(f), time += period);
+      EXPECT_TRUE(test::same(t, plain.track(images_of(f), time))) << time;
+    }
+  };
+  run();
+  odo.reset();
+  plain.reset();
+  run();
 }
 
 }  // namespace odometry_jumps_test

@@ -10,11 +10,14 @@
 ///       static constexpr auto parameters = ft::camera_parameters({{"k", -1, 1}});
 ///       Scalar fx, fy, cx, cy, k;
 ///
-///       projection<Scalar> project(vec3<Scalar> p) const;
-///       projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar> p) const;
-///       ray<Scalar> unproject(vec2<Scalar> pixel) const;
+///       FT_HOST_DEVICE ft::projection<Scalar> project(ft::vec3<Scalar> p) const;
+///       FT_HOST_DEVICE ft::projection_with_jacobian<Scalar> project_with_jacobian(
+///           ft::vec3<Scalar> p) const;
+///       FT_HOST_DEVICE ft::ray<Scalar> unproject(ft::vec2<Scalar> pixel) const;
 ///       template <typename U>
-///       my_camera<U> cast() const { return ft::cast_camera<my_camera<U>>(*this); }
+///       FT_HOST_DEVICE my_camera<U> cast() const {
+///         return ft::cast_camera<my_camera<U>>(*this);
+///       }
 ///       void check() const { ft::check_camera(*this); }
 ///     };
 ///
@@ -150,6 +153,8 @@ template <typename C>
 using camera_check = decltype(std::declval<C const&>().check());
 template <typename C>
 using camera_names = decltype(C::parameters.of[0].name, C::name);
+template <typename C>
+using camera_scalar = typename C::scalar_type;
 
 template <template <typename> class Expression, typename C, typename = void>
 inline constexpr bool is_expression = false;
@@ -168,7 +173,7 @@ inline constexpr bool gives<Expression, Result, C, std::void_t<Expression<C>>> =
 template <typename C, typename = void>
 inline constexpr bool holds_its_parameters = false;
 template <typename C>
-inline constexpr bool holds_its_parameters<C, std::void_t<camera_names<C>>> =
+inline constexpr bool holds_its_parameters<C, std::void_t<camera_names<C>, camera_scalar<C>>> =
     std::is_trivially_copyable<C>::value &&
     sizeof(C) == static_cast<std::size_t>(num_params_v<C>) * sizeof(typename C::scalar_type);
 
@@ -185,17 +190,22 @@ inline constexpr bool is_camera_model_v =
 /// Instantiating it makes the compiler name the part of the contract that a type misses.
 template <typename C>
 struct assert_camera_model {
+  static constexpr bool has_scalar = detail::is_expression<detail::camera_scalar, C>;
+  static_assert(has_scalar, "a camera model needs: using scalar_type = Scalar");
   static_assert(detail::is_expression<detail::camera_names, C>,
-                "a camera model needs: name, and parameters = camera_parameters(...)");
-  static_assert(!detail::is_expression<detail::camera_names, C> || detail::holds_its_parameters<C>,
+                "a camera model needs: name, and parameters = ft::camera_parameters(...)");
+  static_assert(!has_scalar || !detail::is_expression<detail::camera_names, C> ||
+                    detail::holds_its_parameters<C>,
                 "a camera model holds its parameters and nothing else");
-  static_assert(detail::gives<detail::camera_project, projection, C>,
-                "a camera model needs: projection<Scalar> project(vec3<Scalar>) const");
-  static_assert(detail::gives<detail::camera_project_with_jacobian, projection_with_jacobian, C>,
-                "a camera model needs: "
-                "projection_with_jacobian<Scalar> project_with_jacobian(vec3<Scalar>) const");
-  static_assert(detail::gives<detail::camera_unproject, ray, C>,
-                "a camera model needs: ray<Scalar> unproject(vec2<Scalar>) const");
+  static_assert(!has_scalar || detail::gives<detail::camera_project, projection, C>,
+                "a camera model needs: ft::projection<Scalar> project(ft::vec3<Scalar>) const");
+  static_assert(
+      !has_scalar ||
+          detail::gives<detail::camera_project_with_jacobian, projection_with_jacobian, C>,
+      "a camera model needs: "
+      "ft::projection_with_jacobian<Scalar> project_with_jacobian(ft::vec3<Scalar>) const");
+  static_assert(!has_scalar || detail::gives<detail::camera_unproject, ray, C>,
+                "a camera model needs: ft::ray<Scalar> unproject(ft::vec2<Scalar>) const");
   static_assert(detail::is_expression<detail::camera_cast, C>,
                 "a camera model needs: template <typename U> my_camera<U> cast() const");
   static_assert(detail::is_expression<detail::camera_check, C>,

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <string>
 #include <type_traits>
 #include <utility>
 
@@ -95,8 +96,12 @@ struct pyramid_geometry {
           i == 0 ? w : static_cast<int>(std::lrint(static_cast<float>(w) * g.inv_scale[i]));
       g.height[i] =
           i == 0 ? h : static_cast<int>(std::lrint(static_cast<float>(h) * g.inv_scale[i]));
-      detail::require(g.width[i] >= 1 && g.height[i] >= 1,
-                      "the image is too small for this many pyramid levels");
+      if (!(g.width[i] >= 1 && g.height[i] >= 1)) {
+        throw bad_argument("ft: levels is " + std::to_string(levels) +
+                           ", too many for an image of " + std::to_string(w) + " x " +
+                           std::to_string(h) + " pixels and scale_factor " +
+                           detail::number_text(factor));
+      }
       g.stride[i] = ceil_div(g.width[i], 64) * 64;
       g.offset[i] = g.bytes;
       g.bytes += static_cast<std::ptrdiff_t>(g.stride[i]) * g.height[i];

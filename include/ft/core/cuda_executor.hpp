@@ -101,10 +101,12 @@ FT_HIDDEN FT_OUT_OF_LINE void for_each_item(cuda_exec const& exec, int items, Op
     ;
 #else
 {
-  if (items > 0) {
-    detail::launch<Shape>::run({exec.stream, detail::launch_access::programmatic(exec),
-                                detail::launch_access::order(exec)},
-                               items, op, args...);
+  if constexpr (detail::is_stage<Op, typename detail::launch<Shape>::group, Args...>()) {
+    if (items > 0) {
+      detail::launch<Shape>::run({exec.stream, detail::launch_access::programmatic(exec),
+                                  detail::launch_access::order(exec)},
+                                 items, op, args...);
+    }
   }
 }
 #endif

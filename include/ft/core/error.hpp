@@ -68,6 +68,18 @@ void check_named(char const* what, std::size_t at, Check const& check_one) {
   }
 }
 
+/// Runs a check of settings that are a member of others; what it throws names the member, too.
+/// @param prefix of the name of the setting: "orb."
+template <typename Check>
+void check_member(char const* prefix, Check const& check_all) {
+  try {
+    check_all();
+  } catch (bad_argument const& e) {
+    std::string text = e.what();
+    throw bad_argument(text.insert(text.rfind("ft: ", 0) == 0 ? 4 : 0, prefix));
+  }
+}
+
 /// Product of sizes. @throws bad_argument if it overflows
 inline std::size_t checked_mul(std::size_t a, std::size_t b) {
   if (a != 0 && b > std::numeric_limits<std::size_t>::max() / a) {
@@ -89,20 +101,29 @@ inline void require_items(char const* name, std::size_t batch, std::size_t each)
 
 namespace detail {
 
+/// @param name of the matrix in messages
 /// @throws bad_argument unless all products of rows are those of a rotation to 1e-3, and for
 ///   reflections
-inline void require_rotation(mat3<double> const& R) {
-  for (double v : R.m) { require_finite("rotation", v); }
+inline void require_rotation(mat3<double> const& R, char const* name = "the matrix") {
+  std::string const of = name;
+  for (double v : R.m) { require_finite(("an entry of " + of).c_str(), v); }
   mat3<double> const RRt = R * R.transposed();
   for (int i = 0; i < 9; ++i) {
-    require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0 : 0.0)) < 1e-3,
-            "the matrix is not a rotation: its rows are not orthonormal");
+    double const wanted = i % 4 == 0 ? 1.0 : 0.0;
+    if (!(std::abs(RRt.m[i] - wanted) < 1e-3)) {
+      throw bad_argument("ft: " + of + " is not a rotation: the product of its rows " +
+                         std::to_string(i / 3) + " and " + std::to_string(i % 3) + " is " +
+                         number_text(RRt.m[i]) + ", must be " + number_text(wanted));
+    }
   }
   auto const& m = R.m;
-  require(m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) +
-                  m[2] * (m[3] * m[7] - m[4] * m[6]) >
-              0,
-          "the matrix is not a rotation but a reflection");
+  double const determinant = m[0] * (m[4] * m[8] - m[5] * m[7]) -
+                             m[1] * (m[3] * m[8] - m[5] * m[6]) +
+                             m[2] * (m[3] * m[7] - m[4] * m[6]);
+  if (!(determinant > 0)) {
+    throw bad_argument("ft: " + of + " is not a rotation but a reflection: its determinant is " +
+                       number_text(determinant) + ", must be 1");
+  }
 }
 
 }  // namespace detail

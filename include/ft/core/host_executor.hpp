@@ -153,13 +153,15 @@ FT_OUT_OF_LINE void for_each_item(host_exec const& exec, int items, Op const& op
     ;
 #else
 {
-  if constexpr (detail::stage_traits<Op>::wide_on_host && FT_HAS_WIDE) {
-    if (detail::has_wide_vectors()) {
-      exec.parallel_for(items, [&](int item) { detail::run_wide(op, item, args...); });
-      return;
+  if constexpr (detail::is_stage<Op, single_group, Args...>()) {
+    if constexpr (detail::stage_traits<Op>::wide_on_host && FT_HAS_WIDE) {
+      if (detail::has_wide_vectors()) {
+        exec.parallel_for(items, [&](int item) { detail::run_wide(op, item, args...); });
+        return;
+      }
     }
+    exec.parallel_for(items, [&](int item) { detail::run_plain(op, item, args...); });
   }
-  exec.parallel_for(items, [&](int item) { detail::run_plain(op, item, args...); });
 }
 #endif
 

@@ -110,6 +110,34 @@ FT_NAMES_MEMBER(side_by_side)
 FT_NAMES_MEMBER(shares_multiprocessors)
 #undef FT_NAMES_MEMBER
 
+template <typename Op, typename = void>
+inline constexpr bool has_scratch = false;
+template <typename Op>
+inline constexpr bool has_scratch<Op, std::void_t<typename Op::scratch>> = true;
+
+template <typename Op, typename Group, typename... Args>
+using stage_result =
+    decltype(std::declval<Op const&>()(std::declval<Group>(), std::declval<typename Op::scratch&>(),
+                                       int{}, std::declval<Args const&>()...));
+template <typename Op, typename Group, typename Enable, typename... Args>
+inline constexpr bool takes_item = false;
+template <typename Op, typename Group, typename... Args>
+inline constexpr bool
+    takes_item<Op, Group, std::void_t<stage_result<Op, Group, Args...>>, Args...> = true;
+
+/// Whether a functor can be run with these arguments; the compiler says what is missing.
+template <typename Op, typename Group, typename... Args>
+constexpr bool is_stage() {
+  static_assert(has_scratch<Op>,
+                "a stage's functor needs a public nested type scratch: "
+                "using scratch = ft::no_scratch; see ft/core/stage.hpp");
+  static_assert(!has_scratch<Op> || takes_item<Op, Group, void, Args...>,
+                "a stage's functor needs void operator()(group, scratch&, int item, args...) "
+                "const, public, with the arguments that for_each_item() was given after it; see "
+                "ft/core/stage.hpp");
+  return has_scratch<Op> && takes_item<Op, Group, void, Args...>;
+}
+
 /// The hooks of a functor. A hook of another type or signature does not compile.
 template <typename Op>
 struct stage_traits {

@@ -3,6 +3,9 @@
 /// of single stages are checked where these are, by functions of the same name.
 #pragma once
 
+#include <limits>
+#include <string>
+
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keyframes.hpp"
 #include "ft/containers/vocabulary.hpp"
@@ -10,7 +13,12 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/kernels/inertial/initialization.hpp"
+#include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/kernels/monocular/initial_matches.hpp"
+#include "ft/kernels/monocular/start_rules.hpp"
 #include "ft/kernels/pnp/problem.hpp"
+#include "ft/kernels/two_view/problem.hpp"
+#include "ft/kernels/window/workspace.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/orb_params.hpp"
@@ -19,22 +27,57 @@
 namespace ft {
 inline namespace FT_ABI {
 
-/// Thresholds and masks; sizes and numbers of features are checked where their memory is laid out.
+/// @throws bad_argument also for levels that would have no pixel
 inline void check(orb_params const& p) {
+  detail::require_range("width", p.width, 1, max_image_side);
+  detail::require_range("height", p.height, 1, max_image_side);
+  detail::require_range("levels", p.levels, 1, max_levels);
+  detail::require_range("scale_factor", p.scale_factor, 1.01f, 4.0f);
+  detail::require_range("features", p.features, 1, 1 << 20);
+  if (p.start_features != 0) {
+    detail::require_range("start_features", p.start_features, p.features, 1 << 20);
+  }
   detail::require_range("ini_threshold", p.ini_threshold, 0, 255);
-  detail::require_range("min_threshold", p.min_threshold, 0, 255);
+  detail::require_range("min_threshold (at most ini_threshold)", p.min_threshold, 0,
+                        p.ini_threshold);
   detail::require_range("mask_width", p.mask_width, 0, max_image_side);
   detail::require_range("mask_height", p.mask_height, 0, max_image_side);
-  detail::require((p.mask_width == 0) == (p.mask_height == 0),
-                  "mask_width and mask_height are both 0 or both above it");
+  if ((p.mask_width == 0) != (p.mask_height == 0)) {
+    throw bad_argument("ft: mask_width is " + std::to_string(p.mask_width) +
+                       " and mask_height is " + std::to_string(p.mask_height) +
+                       ", must be both 0 or both above it");
+  }
+  pyramid_geometry::make(p.width, p.height, p.levels, p.scale_factor);
 }
 
+namespace detail {
+
+inline void check_overlaps(stereo_overlap const (&overlap)[2]) {
+  for (int i = 0; i < 2; ++i) {
+    if (!(overlap[i].left <= overlap[i].right)) {  // also rejects NaN
+      throw bad_argument("ft: overlap[" + std::to_string(i) + "] is [" +
+                         number_text(overlap[i].left) + ", " + number_text(overlap[i].right) +
+                         "], its left end must not be above its right end");
+    }
+  }
+}
+
+}  // namespace detail
+
 inline void check(tracker_params const& p) {
-  check(p.orb);
+  detail::check_member("orb.", [&] { check(p.orb); });
   detail::require_range("map_slots", p.map_slots, 1, 1 << 26);
   detail::require_range("local_points", p.local_points, 1, 1 << 24);
   detail::require_range("updates", p.updates, 1, 1 << 24);
   detail::require_range("window_radius", p.window_radius, 0.1f, 1000.0f);
+  detail::require_range("enough_matches", p.enough_matches, 0, 1 << 24);
+  detail::check_overlaps(p.overlap);
+}
+
+inline void check(monocular_start_params const& p) {
+  detail::check_member("rules.", [&] { check(p.rules); });
+  detail::check_member("matching.", [&] { check(p.matching); });
+  detail::check_member("two_views.", [&] { check(p.two_views); });
 }
 
 inline void check(tracking_rules const& r) {
@@ -63,6 +106,8 @@ inline void check(tracking_rules const& r) {
 }
 
 inline void check(imu_params const& imu) {
+  mount_of(imu.T_bc);
+  variances_of(imu.noise);
   detail::require_range("imu.samples", imu.samples, 2, 1 << 20);
   detail::require_range("imu.waiting", imu.waiting, 2, 1 << 24);
   detail::require_range("imu.max_accel", imu.max_accel, 1e-3f, 1e9f);
@@ -72,8 +117,10 @@ inline void check(imu_params const& imu) {
                         imu_params::max_time_offset_s);
   detail::require_range("imu.keyframe_period_s", imu.keyframe_period_s, 1e-3, 1e6);
   detail::require_range("imu.selection.early_s", imu.selection.early_s, 0.0, 1.0);
-  detail::require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6, 1e6);
-  check(imu.initialization);
+  detail::require_range("imu.selection.longest_gap_s", imu.selection.longest_gap_s, 1e-6,
+                        std::numeric_limits<double>::infinity());
+  detail::require_range("imu.selection.rate_hz", imu.selection.rate_hz, 0.0f, 1e5f);
+  detail::check_member("imu.initialization.", [&] { check(imu.initialization); });
   detail::require_range("imu.scale_position_sigma", imu.scale_position_sigma, 1e-9f, 1.0f);
   detail::require_range("imu.scale_keyframes", imu.scale_keyframes, 1, max_keyframes);
   detail::require_range("imu.scale_sigma", imu.scale_sigma, 0.0f, 1.0f);
@@ -94,23 +141,27 @@ inline void check(loop_params const& p) {
   detail::require_range("loops.max_scale_drift", p.max_scale_drift, 0.0f, 10.0f);
 }
 
-/// What does not depend on the rig; of the IMU only if there is one.
+/// What does not depend on the rig and the parts; of the IMU and of loops only where they are
+/// present.
 inline void check(odometry_params const& p) {
-  check(p.orb);
+  detail::check_member("orb.", [&] { check(p.orb); });
   detail::require_range("map_slots", p.map_slots, 1, 1 << 24);
   detail::require_range("keyframes", p.keyframes, 2, max_keyframes);
   detail::require_range("local_points", p.local_points, 1, 1 << 24);
-  detail::require_range("window_radius", p.window_radius, 0.1f, 1000.0f);
-  detail::require_range("window.moving", p.window.moving, 1, max_window_views);
-  detail::require_range("window.fixed", p.window.fixed, 0, max_window_views - p.window.moving);
-  detail::require(p.window.moving + p.window.fixed <= p.keyframes,
-                  "an adjustment has more keyframes than the map");
-  detail::require_range("window_points", p.window_points, 1, 1 << 20);
-  detail::require_range("adjustment_delay", p.adjustment_delay, 1, 1000);
-  detail::require_range("prefetch", p.prefetch, 0, 64);
-  detail::require_range("adjustment.steps", p.adjustment.steps, 0, 1000);
   detail::require_range("local_map.keyframes", p.local_map.keyframes, 1, 64);
   detail::require_range("local_map.neighbours", p.local_map.neighbours, 0, 32);
+  detail::require_range("window_radius", p.window_radius, 0.1f, 1000.0f);
+  detail::require_range("enough_matches", p.enough_matches, 0, 1 << 24);
+  detail::require_range("window.moving", p.window.moving, 1, max_window_views);
+  detail::require_range("window.fixed", p.window.fixed, 0, max_window_views - p.window.moving);
+  detail::require_range("window.moving + window.fixed (at most keyframes)",
+                        p.window.moving + p.window.fixed, 1, p.keyframes);
+  detail::require_range("window_points", p.window_points, 1, 1 << 20);
+  detail::check_member("adjustment.", [&] { check(p.adjustment); });
+  detail::require_range("adjustment_delay", p.adjustment_delay, 1, 1000);
+  detail::check_member("start.", [&] { check(p.start); });
+  detail::require_range("prefetch", p.prefetch, 0, 64);
+  detail::check_overlaps(p.overlap);
   check(p.rules);
   if (p.loops.present) { check(p.loops); }
   if (!p.imu.present) { return; }

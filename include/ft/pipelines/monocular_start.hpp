@@ -21,6 +21,7 @@
 #include "ft/kernels/monocular/initial_matches.hpp"
 #include "ft/kernels/monocular/start_rules.hpp"
 #include "ft/kernels/two_view/reconstruct.hpp"
+#include "ft/pipelines/check_params.hpp"
 #include "ft/types/odometry_params.hpp"
 
 namespace ft {
@@ -51,9 +52,7 @@ public:
                   std::vector<pinhole<float>> const& cameras, grid_geometry const& grid,
                   int capacity)
       : params_(params) {
-    check(params.rules);
-    check(params.two_views);
-    check(params.matching);
+    check(params);
     detail::require_range("cameras", cameras.size(), std::size_t{1}, std::size_t{4096});
     detail::require_range("capacity", capacity, 1, (1 << 23) - 1);
     detail::require_range("columns of the grid", grid.cols, 1, 1 << 14);

@@ -84,19 +84,14 @@ public:
   ///     ft::odometry odo(exec, rig, params, 1, ft::loops{});                // params.loops
   ///     ft::odometry odo(exec, rig, params, 1, ft::own_features{});         // params.own_features
   ///
-  /// @param batch camera pairs @param plugged inertial, places, loops, or own_features
+  /// @param batch camera pairs @param plugged inertial, places, loops, or own_features; there are
+  ///   no others
   /// @throws bad_argument also for odometry_params::imu without inertial, and for inertial without
   ///   it; likewise for odometry_params::loops and loops; std::bad_alloc, cuda_error
   template <typename... Plugged>
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params, int batch,
            Plugged const&... plugged)
-      : engine_(std::make_unique<engine>(exec, rig, params, batch, plugged...)) {
-    static_assert((0 + ... + int{std::is_same<Plugged, inertial>::value}) <= 1 &&
-                      (0 + ... + int{std::is_same<Plugged, places>::value}) <= 1 &&
-                      (0 + ... + int{std::is_same<Plugged, loops>::value}) <= 1 &&
-                      (0 + ... + int{std::is_same<Plugged, own_features>::value}) <= 1,
-                  "a part is plugged in once");
-  }
+      : engine_(made_with(exec, rig, params, batch, plugged...)) {}
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params)
       : odometry(exec, rig, params, 1) {}
 
@@ -183,8 +178,10 @@ public:
     return *track_prefetched(&time_ns);
   }
 
-  /// Predicts the pose of camera pair b in its next frame, instead of the motion model: from wheels
-  /// or an IMU. A camera that is lost is searched for there, too.
+  /// Predicts the pose of camera pair b in its next frame, from wheels or an IMU, instead of the
+  /// motion model and of ft::inertial; imu_tracking::predicted is false then. A camera that is lost
+  /// is searched for there, too. Where there is no map yet, before the first frame or after
+  /// reset(), the prediction is forgotten: the map begins at the origin.
   /// @throws bad_argument for a pose that is not finite or not a rotation, or for a pair that does
   ///   not exist
   void predict(rigid<double> const& T_world_camera, int b = 0) {
@@ -345,6 +342,29 @@ public:
   odometry_map_view map() const { return made().stages.own.map; }
 
 private:
+  /// How many of the parts are of that type.
+  template <typename Part, typename... Plugged>
+  static constexpr int count_of = (0 + ... + int{std::is_same<Plugged, Part>::value});
+
+  template <typename... Plugged>
+  static std::unique_ptr<engine> made_with(Exec const& exec, Rig const& rig,
+                                           odometry_params const& params, int batch,
+                                           Plugged const&... plugged) {
+    constexpr int counts[] = {count_of<inertial, Plugged...>, count_of<places, Plugged...>,
+                              count_of<loops, Plugged...>, count_of<own_features, Plugged...>};
+    constexpr bool known = counts[0] + counts[1] + counts[2] + counts[3] == sizeof...(Plugged);
+    static_assert(known,
+                  "the last arguments of an odometry are its parts: ft::inertial, ft::places, "
+                  "ft::loops or ft::own_features, and no type of yours");
+    static_assert(counts[0] <= 1 && counts[1] <= 1 && counts[2] <= 1 && counts[3] <= 1,
+                  "a part is plugged in once");
+    if constexpr (known) {
+      return std::make_unique<engine>(exec, rig, params, batch, plugged...);
+    } else {
+      return nullptr;
+    }
+  }
+
   engine& made_for_prefetch() const {
     detail::require(made().prefetch != nullptr,
                     "the odometry was made without odometry_params::prefetch");

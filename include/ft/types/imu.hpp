@@ -165,7 +165,8 @@ struct imu_tracking {
   bool known = false;  ///< gravity, velocity and biases are known; until then the rest is 0, but
                        ///< what is said of the samples
   bool optimized = false;  ///< the frame's pose was optimised with the IMU
-  bool predicted = false;  ///< the frame's pose was predicted with the IMU
+  bool predicted = false;  ///< the frame's pose was predicted with the IMU, not by
+                           ///< odometry::predict()
   /// What the last estimate of gravity, velocity and biases came to.
   initialization_status estimate = initialization_status::few_keyframes;
   vec3<double> velocity = {0, 0, 0};  ///< of the IMU in the world, m/s

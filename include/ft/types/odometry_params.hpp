@@ -74,11 +74,12 @@ struct window_selection {
 /// How windows are adjusted.
 struct window_params {
   int steps = 3;            ///< most steps to try, 0 to 1000; each is three launches
-  double huber2 = 5.991;    ///< squared weighted error from which its cost grows linearly
-  double outlier2 = 9.21;   ///< squared weighted error of an outlier: 99 % of 2 degrees of freedom
-  double no_image = 100.0;  ///< cost of an observation whose point the camera cannot see
-  double disparity_weight = 16.0;  ///< weight of a disparity, in those of a pixel
-  double first_damping = 1e-4;     ///< of the first step, relative to the diagonal
+  double huber2 = 5.991;    ///< squared weighted error from which its cost grows linearly, above 0
+  double outlier2 = 9.21;   ///< squared weighted error of an outlier: 99 % of 2 degrees of freedom;
+                            ///< above 0
+  double no_image = 100.0;  ///< cost of an observation whose point the camera cannot see, from 0 on
+  double disparity_weight = 16.0;  ///< weight of a disparity, in those of a pixel; 0: not used
+  double first_damping = 1e-4;     ///< of the first step, relative to the diagonal, from 0 on
   double enough = 1e-4;            ///< ends with a step that lowers the cost by a smaller share
 };
 
@@ -123,7 +124,8 @@ struct odometry_params {
   int local_points = 1 << 13;      ///< points of the local map, at most
   local_map_params local_map;      ///< how these are chosen
   float window_radius = 7;         ///< half side of a search from the last frame, pixels
-  int enough_matches = 20;         ///< with fewer, that search is repeated with twice the radius
+  int enough_matches = 20;         ///< with fewer, that search is repeated with twice the radius;
+                                   ///< 0: never
   window_selection window{10, 5};  ///< keyframes of an adjustment: moving ones, fixed ones
   int window_points = 1 << 12;     ///< points of an adjustment, at most
   window_params adjustment;        ///< how they are adjusted
@@ -142,11 +144,11 @@ struct odometry_params {
 
 struct tracker_params {
   orb_params orb;
-  int map_slots = 1 << 16;      ///< map points on the device at a time, per rig
-  int local_points = 1 << 13;   ///< points of one local-map search
-  int updates = 1 << 13;        ///< map points that one update_map() can send
-  float window_radius = 7;      ///< half side at scale 1 of windows from the last frame, pixels
-  int enough_matches = 20;      ///< with fewer, the search is repeated with twice the radius
+  int map_slots = 1 << 16;     ///< map points on the device at a time, per rig
+  int local_points = 1 << 13;  ///< points of one local-map search
+  int updates = 1 << 13;       ///< map points that one update_map() can send
+  float window_radius = 7;     ///< half side at scale 1 of windows from the last frame, pixels
+  int enough_matches = 20;  ///< with fewer, the search is repeated with twice the radius; 0: never
   bool optimize_last = true;    ///< pose optimisation after the search from the last frame
   bool optimize_local = true;   ///< and after the search in the local map
   bool use_graphs = true;       ///< replay recorded graphs; false: enqueue each launch

@@ -24,7 +24,7 @@ struct orb_params {
   int levels = 8;
   float scale_factor = 1.2f;
   int ini_threshold = 20;  ///< corner threshold, grey levels
-  int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold
+  int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold; not above it
   /// Size of masks, pixels, up to 16384 a side. A mask is stretched over its image. 0 = no masks
   int mask_width = 0;
   int mask_height = 0;

@@ -193,6 +193,8 @@ struct launch;
 
 template <>
 struct launch<per_thread> {
+  using group = single_group;
+
   template <typename Op, typename... Args>
   FT_HIDDEN static void run(launch_target to, int items, Op const& op, Args const&... args) {
     constexpr int threads = 128;
@@ -204,6 +206,8 @@ struct launch<per_thread> {
 
 template <>
 struct launch<per_warp> {
+  using group = warp_group;
+
   template <typename Op, typename... Args>
   FT_HIDDEN static void run(launch_target to, int items, Op const& op, Args const&... args) {
     constexpr int warps = 4;
@@ -215,6 +219,8 @@ struct launch<per_warp> {
 
 template <int N>
 struct launch<per_block<N>> {
+  using group = block_group<N>;
+
   template <typename Op, typename... Args>
   FT_HIDDEN static void run(launch_target to, int items, Op const& op, Args const&... args) {
     static_assert(

@@ -25,6 +25,13 @@ inline void check(initialization_params const& p) {
   detail::require_range("accel_bias_sigma", p.accel_bias_sigma, 1e-9f, 1e6f);
   detail::require_range("rest_distance", p.rest_distance, 0.0f, most);
   detail::require_range("rest_angle", p.rest_angle, 0.0f, most);
+  constexpr float any = std::numeric_limits<float>::infinity();  // no limit
+  detail::require_range("max_gyro_sigma", p.max_gyro_sigma, 0.0f, any);
+  detail::require_range("max_tilt_sigma", p.max_tilt_sigma, 0.0f, any);
+  detail::require_range("max_velocity_sigma", p.max_velocity_sigma, 0.0f, any);
+  detail::require_range("max_scale_sigma", p.max_scale_sigma, 0.0f, any);
+  detail::require_range("max_position_rms", p.max_position_rms, 0.0f, any);
+  detail::require_range("max_rotation_rms", p.max_rotation_rms, 0.0f, any);
 }
 
 /// Gravity, velocity and biases. Standard deviations come from the poses' given ones, or from

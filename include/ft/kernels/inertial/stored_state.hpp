@@ -48,12 +48,12 @@ FT_HOST_DEVICE inline stored_inertial_state stored_state(inertial_state<float> c
 /// @throws bad_argument for a rate outside [1, 1e5] Hz, or a density that is not positive and
 /// finite
 inline imu_variances variances_of(imu_noise const& noise) {
-  detail::require_range("imu rate_hz", noise.rate_hz, 1.0f, 1e5f);
+  detail::require_range("imu.noise.rate_hz", noise.rate_hz, 1.0f, 1e5f);
   using real = strict_float;
   real const root = scalar::sqrt(real(noise.rate_hz));
   float const densities[] = {noise.gyro, noise.accel, noise.gyro_walk, noise.accel_walk};
-  char const* const names[] = {"imu gyro noise", "imu accelerometer noise", "imu gyro walk",
-                               "imu accelerometer walk"};
+  char const* const names[] = {"imu.noise.gyro", "imu.noise.accel", "imu.noise.gyro_walk",
+                               "imu.noise.accel_walk"};
   imu_variances out{};
   for (int k = 0; k < 4; ++k) {
     detail::require_range(names[k], densities[k], 1e-12f, 1e6f);
@@ -69,10 +69,10 @@ inline imu_variances variances_of(imu_noise const& noise) {
 /// @param T_bc left camera to body, metres
 /// @throws bad_argument if its rotation is none, or a number is not finite
 inline imu_mount mount_of(rigid<double> const& T_bc) {
-  detail::require_rotation(T_bc.R);
-  detail::require_finite("imu T_bc x", T_bc.t.x);
-  detail::require_finite("imu T_bc y", T_bc.t.y);
-  detail::require_finite("imu T_bc z", T_bc.t.z);
+  detail::require_rotation(T_bc.R, "the rotation of imu.T_bc");
+  detail::require_finite("imu.T_bc.t.x", T_bc.t.x);
+  detail::require_finite("imu.T_bc.t.y", T_bc.t.y);
+  detail::require_finite("imu.T_bc.t.z", T_bc.t.z);
   using real = strict_double;
   rigid<real> const T{detail::rotation_of(detail::quaternion_of(T_bc.R.cast<real>())),
                       T_bc.t.cast<real>()};

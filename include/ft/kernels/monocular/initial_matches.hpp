@@ -35,7 +35,9 @@ struct frame_pair_view {
 
 /// @throws bad_argument naming the value and the limit
 inline void check(initial_match_params const& p) {
-  detail::require_range("initial_match_params::max_hamming", p.max_hamming, 0, 255);
+  detail::require_range("window_radius", p.window_radius, 0.1f, 1e6f);
+  detail::require_range("max_hamming", p.max_hamming, 0, 255);
+  detail::require_range("ratio", p.ratio, 0.0f, 100.0f);
 }
 
 /// Matches of a batch of frame pairs.

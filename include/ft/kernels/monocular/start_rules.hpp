@@ -24,9 +24,9 @@ inline namespace FT_ABI {
 
 /// @throws bad_argument naming the value and the limit
 inline void check(start_rules const& p) {
-  detail::require_range("start_rules::min_keypoints", p.min_keypoints, 0, 1 << 23);
-  detail::require_range("start_rules::min_matches", p.min_matches, 0, 1 << 23);
-  detail::require_range("start_rules::longest_gap_s", p.longest_gap_s, 0.0, 1e9);
+  detail::require_range("min_keypoints", p.min_keypoints, 0, 1 << 23);
+  detail::require_range("min_matches", p.min_matches, 0, 1 << 23);
+  detail::require_range("longest_gap_s", p.longest_gap_s, 0.0, 1e9);
 }
 
 /// What came of a frame.

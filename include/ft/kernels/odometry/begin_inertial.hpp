@@ -198,9 +198,7 @@ private:
                                           predicted_frames const& out, inertial_view const& v,
                                           camera_track& track, rigid<double> const& last) {
     inertial_track const& t = v.tracks[b];
-    if (t.gyro_agrees == 0 || in.inputs[b].predicted != 0 || !usable(v.from_last(b).status)) {
-      return;
-    }
+    if (t.gyro_agrees == 0 || t.given != 0 || !usable(v.from_last(b).status)) { return; }
     using real = strict_double;
     mat3<real> const R_cb = in.mount.T_cb.R.template cast<real>();
     mat3<real> const dR =
@@ -216,6 +214,7 @@ private:
                                      inertial_view const& v) {
     inertial_track& t = v.tracks[b];
     t.source = inertial_source::none;
+    t.given = in.inputs[b].predicted;
     t.status = v.from_last(b).status;
     t.last_rate = t.rate;
     int const steps = usable(t.status) ? v.from_last(b).steps : 0;
@@ -251,7 +250,7 @@ private:
       t.source = inertial_source::none;
       return;
     }
-    if (in.inputs[b].predicted != 0) { return; }
+    if (t.given != 0) { return; }
     track.guided = 1;
     track.predicted = pose_of(t.predicted);
     out.T_cw[b] = track.predicted.template cast<float>();

@@ -41,6 +41,7 @@ struct inertial_track {
   stored_inertial_state keyframe;   ///< of the newest keyframe
   stored_inertial_state predicted;  ///< of the current frame
   inertial_source source;           ///< of the prediction
+  int given;                        ///< 1 = the caller has predicted the pose of the current frame
   int follows;                      ///< 1 = `last` comes from an optimisation, which left a prior
   /// 1 = the velocities of `last` and of `keyframe` are known. They are not after a frame about
   /// which the IMU said nothing, until an estimate or an optimisation gives them anew.

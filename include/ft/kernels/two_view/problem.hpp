@@ -26,12 +26,12 @@ inline namespace FT_ABI {
 
 /// @throws bad_argument naming the value and the limit
 inline void check(two_view_params const& p) {
-  detail::require_range("two_view_params::samples", p.samples, 1, two_view_params::most_samples);
-  detail::require_range("two_view_params::sigma_px", p.sigma_px, 1e-6f, 1e6f);
+  detail::require_range("samples", p.samples, 1, two_view_params::most_samples);
+  detail::require_range("sigma_px", p.sigma_px, 1e-6f, 1e6f);
   // Outside [0, 1]: always the one or the other.
-  detail::require_range("two_view_params::homography_ratio", p.homography_ratio, -1.0f, 2.0f);
-  detail::require_range("two_view_params::min_points", p.min_points, 1, 1 << 24);
-  detail::require_range("two_view_params::min_parallax_deg", p.min_parallax_deg, 0.0f, 180.0f);
+  detail::require_range("homography_ratio", p.homography_ratio, -1.0f, 2.0f);
+  detail::require_range("min_points", p.min_points, 1, 1 << 24);
+  detail::require_range("min_parallax_deg", p.min_parallax_deg, 0.0f, 180.0f);
 }
 
 /// Pairs of images with matched keypoints. Positions are undistorted; those of very wide lenses are

@@ -19,7 +19,13 @@ inline namespace FT_ABI {
 
 /// @throws bad_argument naming the value and the limit
 inline void check(window_params const& p) {
-  detail::require_range("steps of an adjustment", p.steps, 0, 1000);
+  detail::require_range("steps", p.steps, 0, 1000);
+  detail::require_range("huber2", p.huber2, 1e-9, 1e50);
+  detail::require_range("outlier2", p.outlier2, 1e-9, 1e50);
+  detail::require_range("no_image", p.no_image, 0.0, 1e50);
+  detail::require_range("disparity_weight", p.disparity_weight, 0.0, 1e9);
+  detail::require_range("first_damping", p.first_damping, 0.0, 1e9);
+  detail::require_range("enough", p.enough, 0.0, 1.0);
 }
 
 namespace detail {

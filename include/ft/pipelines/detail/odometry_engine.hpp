@@ -46,14 +46,9 @@ namespace detail {
 
 /// @throws bad_argument for a pose that is not finite or not a rotation
 inline void require_motion(rigid<double> const& T) {
-  for (double const v : T.R.m) { require_finite("an entry of a predicted pose", v); }
+  require_rotation(T.R, "the rotation of a predicted pose");
   double const t[3] = {T.t.x, T.t.y, T.t.z};
   for (double const v : t) { require_finite("an entry of a predicted pose", v); }
-  mat3<double> const RRt = T.R * T.R.transposed();
-  for (int i = 0; i < 9; ++i) {
-    require(std::abs(RRt.m[i] - (i % 4 == 0 ? 1.0 : 0.0)) < 1e-3,
-            "the rotation of a predicted pose is not a rotation matrix");
-  }
 }
 
 template <typename Rig>

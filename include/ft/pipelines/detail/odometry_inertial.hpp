@@ -50,7 +50,7 @@ inline imu_tracking imu_tracking_of(inertial_track const& t) {
     return vec3<double>{static_cast<double>(v.x), static_cast<double>(v.y),
                         static_cast<double>(v.z)};
   };
-  out.predicted = t.source != inertial_source::none;
+  out.predicted = t.source != inertial_source::none && t.given == 0;
   out.optimized = t.follows != 0;
   out.velocity = widen(t.last.v);
   out.gravity = widen(t.gravity);

@@ -132,8 +132,7 @@ public:
     if (held < 3) { return 0; }
     map_call_end const end(mirror_);
     int const b = held_.bind(frame);
-    pose const start = transform_of(frame.GetPose());
-    pose_result const result = device_->optimize_pose(b, start);
+    pose_result const result = device_->optimize_pose(b, exact_transform_of(frame.GetPose()));
     held_.write_outliers(b, frame);
     frame.SetPose(pose_of<std::decay_t<decltype(frame.GetPose())>>(result.T_cw));
     return result.inliers;

@@ -123,7 +123,8 @@ class device_searches {
 
   /// Poses and rotations of a call, uploaded together.
   struct call_inputs {
-    pose T_cw;                   ///< predicted
+    rigid<double> start;         ///< of a pose that is optimised, T_cw
+    pose T_cw;                   ///< predicted, or `start`
     pose T_lw;                   ///< of the last frame
     vec3<float> centres[2];      ///< of the cameras
     quaternion<float> rotation;  ///< of T_cw
@@ -145,7 +146,7 @@ public:
       : settings_(s), rig_(rig), keypoints_(keypoints), local_(keypoints, searched) {
     memory_ = arena<space>([&](carver& c) {
       carve(c, observations_, 2 * keypoints, 1);
-      c.place(1, inputs_, optimized_);
+      c.place(1, inputs_, optimized_, rounded_);
     });
     host_memory_ = arena<staging>([&](carver& c) {
       c.place(1, staged_, staged_optimized_, in_view_);
@@ -167,6 +168,10 @@ public:
   // ---- inputs: staged here, uploaded by the first launch of a call
 
   void set_pose(pose const& T_cw) { staged_->T_cw = T_cw; }
+  void set_start(rigid<double> const& T_cw) {
+    staged_->start = T_cw;
+    set_pose(T_cw.cast<float>());
+  }
   void set_last_frame(last_frame_request const& r) {
     set_pose(r.T_cw);
     staged_->T_lw = r.T_lw;
@@ -258,8 +263,9 @@ public:
   void queue_pose(Exec const& exec, context const& c) {
     pose_params exact;
     exact.small_step = 0;  // every step that the CPU takes
-    optimize_frame_poses(exec, rig_, {c.frame, c.map, c.geometry},
-                         {&inputs_->T_cw, optimized_, observations_}, exact);
+    optimize_frame_poses(
+        exec, rig_, {c.frame, c.map, c.geometry},
+        {&inputs_->T_cw, rounded_, observations_, nullptr, &inputs_->start, optimized_}, exact);
   }
 
   // ---- results: downloaded by the last launch, valid after exec.wait()
@@ -317,9 +323,10 @@ private:
   int keypoints_ = 0;
   observations_view observations_;
   call_inputs* inputs_ = nullptr;
-  pose* optimized_ = nullptr;
+  rigid<double>* optimized_ = nullptr;
+  pose* rounded_ = nullptr;  ///< the same
   call_inputs* staged_ = nullptr;
-  pose* staged_optimized_ = nullptr;
+  rigid<double>* staged_optimized_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
   int* in_view_ = nullptr;
   arena<space> memory_;

@@ -85,7 +85,7 @@ public:
   /// Waits for the search, which fills the holders. Returns the number of matches.
   virtual int local_matches() = 0;
   /// Starts from the holders in the buffer; those of outliers become -1.
-  virtual pose_result optimize_pose(int buffer, pose const& T_cw) = 0;
+  virtual pose_result optimize_pose(int buffer, rigid<double> const& T_cw) = 0;
 
   /// Starts from the holders in both buffers; fills frame(request.frame).holder. Returns the number
   /// of keypoints that take a point.

@@ -207,8 +207,8 @@ public:
     return searches_.matches();
   }
 
-  pose_result optimize_pose(int buffer, pose const& T_cw) override {
-    searches_.set_pose(T_cw);
+  pose_result optimize_pose(int buffer, rigid<double> const& T_cw) override {
+    searches_.set_start(T_cw);
     begin(searches_.input_bytes);
     auto const call = context_of(buffer);
     graphs_.replay(exec_, call_key::of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
@@ -216,7 +216,7 @@ public:
       searches_.queue_pose(exec, call);
       searches_.download_pose(exec, frames_.arrays(buffer).holder, call.frame);
     });
-    finish(sizeof(pose) + sizeof(int) + frames_.holder_bytes());
+    finish(sizeof(rigid<double>) + sizeof(int) + frames_.holder_bytes());
     return searches_.optimized();
   }
 

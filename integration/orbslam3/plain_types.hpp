@@ -160,7 +160,7 @@ struct local_map_request {
 };
 
 struct pose_result {
-  pose T_cw = pose::identity();
+  rigid<double> T_cw = rigid<double>::identity();
   int inliers = 0;
 };
 

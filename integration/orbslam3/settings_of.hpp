@@ -76,10 +76,21 @@ void centres_of(Frame& frame, int cameras, vec3<float> (&centres)[2]) {
   centres[0] = vec3_from_eigen(left);
   centres[1] = vec3_from_eigen(right);
 }
-/// A Sophus::SE3f, through a unit quaternion.
+/// The same in double, by the quaternion: the rotation matrix of floats is another rotation, by up
+/// to 1e-7 rad.
 template <typename Pose>
-Pose pose_of(pose const& T) {
-  return Pose(to_quaternion(T.R), Eigen::Vector3f(as_eigen(T.t)));
+rigid<double> exact_transform_of(Pose const& T) {
+  Eigen::Quaterniond const q = T.unit_quaternion().template cast<double>().normalized();
+  Eigen::Vector3d const t = T.translation().template cast<double>();
+  return {mat3_from_eigen(q.toRotationMatrix()), vec3_from_eigen(t)};
+}
+/// A Sophus::SE3f, through a unit quaternion that is rounded once.
+template <typename Pose>
+Pose pose_of(rigid<double> const& T) {
+  Eigen::Quaterniond q = to_quaternion(T.R);
+  if (q.w() < 0) { q.coeffs() = -q.coeffs(); }
+  Eigen::Vector3d const t = as_eigen(T.t);
+  return Pose(Eigen::Quaternionf(q.cast<float>()), Eigen::Vector3f(t.cast<float>()));
 }
 
 /// A system's types, for the template parameter `Types` of the shim.

@@ -80,7 +80,7 @@ public:
     on_call("local_matches");
     return to_->local_matches();
   }
-  ft::orbslam3::pose_result optimize_pose(int b, ft::pose const& T) override {
+  ft::orbslam3::pose_result optimize_pose(int b, ft::rigid<double> const& T) override {
     on_call("optimize_pose");
     return to_->optimize_pose(b, T);
   }

@@ -38,6 +38,9 @@ struct frame_poses {
   observations_view observations;  ///< written; capacity at least frame.numbers()
   /// [batch][information_terms] as in pose_problem; may be null
   float* information = nullptr;
+  /// [batch] as in pose_problem; may be null
+  rigid<double> const* exact_start = nullptr;
+  rigid<double>* exact_result = nullptr;
 };
 
 namespace detail {
@@ -67,9 +70,15 @@ struct optimize_frame {
         poses.information == nullptr
             ? nullptr
             : poses.information + static_cast<std::ptrdiff_t>(b) * information_terms;
-    pose_problem const problem{
-        out.items + at,  n,          poses.start + b, poses.result + b, out.outlier + at,
-        out.inliers + b, information};
+    pose_problem const problem{out.items + at,
+                               n,
+                               poses.start + b,
+                               poses.result + b,
+                               out.outlier + at,
+                               out.inliers + b,
+                               information,
+                               poses.exact_start == nullptr ? nullptr : poses.exact_start + b,
+                               poses.exact_result == nullptr ? nullptr : poses.exact_result + b};
     pose_solver<Group, Rig> const solver{g, s.pose, rig, problem, params, limits};
     auto const number_of = [&](int i) {
       return i < prepared_observations::size ? s.number[i] : out.number[at + i];

@@ -71,7 +71,9 @@ struct pose_solver {
     // By the last thread, which seldom has an observation to wait for. Rows of floats are
     // orthonormal up to 1e-7 only, and a turn from the left leaves them so.
     if (g.rank() == g.size() - 1) {
-      s.start = problem.start->template cast<real>().orthonormalized();
+      s.start = problem.exact_start != nullptr
+                    ? problem.exact_start->template cast<real>()
+                    : problem.start->template cast<real>().orthonormalized();
     }
     g.sync();
     int const n = problem.count;
@@ -253,7 +255,11 @@ private:
     good = g.reduce(good, sum_op{});
     if (g.rank() == 0) {
       // Where nothing moves it, the pose is the start to the bit, and not made orthonormal.
-      *problem.result = enough && s.moved ? s.T.template cast<float>() : *problem.start;
+      bool const moved = enough && s.moved;
+      *problem.result = moved ? s.T.template cast<float>() : *problem.start;
+      if (problem.exact_result != nullptr) {
+        *problem.exact_result = (moved ? s.T : s.start).template cast<double>();
+      }
       *problem.inliers = enough ? good : 0;
     }
     if (problem.information == nullptr) { return; }

@@ -54,6 +54,9 @@ struct pose_problem {
   /// that round's weights, at the last pose whose sums were computed; 0 without a pose. May be
   /// null.
   float* information = nullptr;
+  /// The start in double, a rotation; null: `start`, made orthonormal.
+  rigid<double> const* exact_start = nullptr;
+  rigid<double>* exact_result = nullptr;  ///< the result before it is rounded; may be null
 };
 
 // The observations of a pose in the form that its sums need.

@@ -259,16 +259,16 @@ def conformance():
 
 # What the table of odometries shows: record, row among those of a rig, and what to call it.
 ODOMETRIES = (
-    ("runs 2", "rectified", 0, "EuRoC pair"),
-    ("runs 2", "rectified", 1, "64 EuRoC pairs, each with its map"),
-    ("on_2026_11_27", "rectified", 0, "generated pair"),
+    ("on_2026_11_28, EuRoC", "rectified", 0, "EuRoC pair"),
+    ("on_2026_11_28, EuRoC", "rectified", 1, "64 EuRoC pairs, each with its map"),
+    ("on_2026_11_28", "rectified", 0, "generated pair"),
     ("on_2026_11_27", "rectified", 2, "64 generated pairs, each with its map"),
     ("on_2026_11_25, runs 3", "rectified", 0, "200 generated pairs"),
-    ("on_2026_11_27", "four cameras", 0, "two generated pairs in one rig"),
+    ("on_2026_11_28", "four cameras", 0, "two generated pairs in one rig"),
     ("on_2026_11_25, runs 3", "four cameras", 0, "the same, 200 of them"),
-    ("on_2026_11_27", "with IMU", 1, "with an IMU"),
-    ("on_2026_11_27", "with IMU", 0, "the same, 5 ms apart"),
-    ("on_2026_11_27", "prefetched", 0, "generated pair, prefetched"),
+    ("on_2026_11_28", "with IMU", 1, "with an IMU"),
+    ("on_2026_11_28", "with IMU", 0, "the same, 5 ms apart"),
+    ("on_2026_11_28", "prefetched", 0, "generated pair, prefetched"),
 )
 
 
@@ -283,7 +283,7 @@ def odometries():
             f"| {name} | {records[record]['commit']} | {100 * r['keyframes']:.0f} % | {r['p50_us']:.0f} | {r['p99_us']:.0f} | "
             f"{'' if waited else format(r['frames_per_s'], '.0f')} |"
         )
-        if number == 0 and record == "runs 2":
+        if number == 0 and record == "on_2026_11_28, EuRoC":
             mps = records["runs 4"]
             lines.append(
                 f"| the same on 12 % of the multiprocessors (CUDA MPS) | {mps['commit']} | | "

@@ -105,15 +105,18 @@ namespace detail {
 /// @throws bad_argument unless all products of rows are those of a rotation to 1e-3, and for
 ///   reflections
 inline void require_rotation(mat3<double> const& R, char const* name = "the matrix") {
-  std::string const of = name;
-  for (double v : R.m) { require_finite(("an entry of " + of).c_str(), v); }
+  // Inside frames, too: a text is made for who is refused alone.
+  for (double v : R.m) {
+    if (!std::isfinite(v)) { require_finite((std::string("an entry of ") + name).c_str(), v); }
+  }
   mat3<double> const RRt = R * R.transposed();
   for (int i = 0; i < 9; ++i) {
     double const wanted = i % 4 == 0 ? 1.0 : 0.0;
     if (!(std::abs(RRt.m[i] - wanted) < 1e-3)) {
-      throw bad_argument("ft: " + of + " is not a rotation: the product of its rows " +
-                         std::to_string(i / 3) + " and " + std::to_string(i % 3) + " is " +
-                         number_text(RRt.m[i]) + ", must be " + number_text(wanted));
+      throw bad_argument(std::string("ft: ") + name +
+                         " is not a rotation: the product of its rows " + std::to_string(i / 3) +
+                         " and " + std::to_string(i % 3) + " is " + number_text(RRt.m[i]) +
+                         ", must be " + number_text(wanted));
     }
   }
   auto const& m = R.m;
@@ -121,7 +124,8 @@ inline void require_rotation(mat3<double> const& R, char const* name = "the matr
                              m[1] * (m[3] * m[8] - m[5] * m[6]) +
                              m[2] * (m[3] * m[7] - m[4] * m[6]);
   if (!(determinant > 0)) {
-    throw bad_argument("ft: " + of + " is not a rotation but a reflection: its determinant is " +
+    throw bad_argument(std::string("ft: ") + name +
+                       " is not a rotation but a reflection: its determinant is " +
                        number_text(determinant) + ", must be 1");
   }
 }

@@ -66,10 +66,11 @@ TEST_P(shim_traffic, of_a_frame_in_which_nothing_changed_has_no_map_data) {
     EXPECT_EQ(frame(), first);
     EXPECT_EQ(gpu.bytes().map, 0u);
     EXPECT_EQ(gpu.bytes().images, 0u);
-    // The searches and the pose send their inputs in one piece each: two poses, two centres, a
-    // quaternion and the number of points. The current frame's holders, which were those of the
-    // whole frame and are empty again, are cleared by the search. The list of slots is as before.
-    EXPECT_EQ(gpu.bytes().frame, 3u * (2 * 48 + 2 * 12 + 16 + 4));
+    // The searches and the pose send their inputs in one piece each: a start in double, two poses,
+    // two centres, a quaternion, the number of points and four bytes without use. The current
+    // frame's holders, which were those of the whole frame and are empty again, are cleared by the
+    // search. The list of slots is as before.
+    EXPECT_EQ(gpu.bytes().frame, 3u * (96 + 2 * 48 + 2 * 12 + 16 + 4 + 4));
     EXPECT_EQ(gpu.bytes().uploads, 3);
     EXPECT_EQ(gpu.bytes().downloads, 3);
   }

@@ -195,7 +195,7 @@ TEST_F(wide_stages, of_words_give_the_same_in_both_versions) {
 
 TEST_F(wide_stages, of_pose_graphs_give_the_same_bits_in_both_versions) {
   constexpr std::size_t side = 2 * ft::detail::tile_side<6>;
-  test::random_motion any(5);
+  test::random_motions any(5);
   std::vector<double> dense(side * side);
   std::vector<double> right(side);
   for (double& v : dense) { v = any.number(); }

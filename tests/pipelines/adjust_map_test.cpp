@@ -120,7 +120,7 @@ TYPED_TEST(maps, costs_are_as_said_and_the_result_is_a_minimum) {
     EXPECT_NEAR(report.last_cost, least, 1e-9 * least);
     EXPECT_NEAR(report.last_chi2, plain_cost(map, 0), 1e-9 * report.last_chi2);
     EXPECT_LT(least, 0.1 * given);
-    test::random_motion any(4);
+    test::random_motions any(4);
     for (int round = 0; round < 30; ++round) {
       auto moved = map;
       for (std::size_t v = 2; v < moved.T_cw.size(); ++v) {
@@ -229,7 +229,7 @@ TYPED_TEST(maps, standard_deviations_weigh) {
   shape.noise = 0;
   auto made = test::make_bundle(shape, one_camera(), 9);
   auto& map = made.map;
-  test::random_motion any(9);
+  test::random_motions any(9);
   for (std::size_t o = 0; o < map.pixel.size(); ++o) {
     bool const precise = map.observed_point[o] % 2 == 0;
     map.sigma[o] = precise ? 1e-3 : 1e3;

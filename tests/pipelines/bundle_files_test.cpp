@@ -57,7 +57,7 @@ TEST(BundleFiles, RoundTripsKeepNumbers) {
     std::vector<lens> const cameras{{400, 400, 0, 0, {-0.05, 0.01, 0, 0}},
                                     {500, 500, 0, 0, {0.02, 0, 0, 0}}};
     auto map = test::make_bundle({12, 40}, cameras, seed).map;
-    test::random_motion any(seed);
+    test::random_motions any(seed);
     for (auto& T : map.T_cw) { T = any(2, 100).orthonormalized(); }  // also beyond half a turn
     std::stringstream file;
     ft::write_bal(file, map);

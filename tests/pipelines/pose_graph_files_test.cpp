@@ -68,7 +68,7 @@ TEST(PoseGraphFiles, HavePointsInALocaleOfCommas) {
 TEST(PoseGraphFiles, RoundTripsKeepNumbers) {
   for (unsigned seed = 1; seed <= 5; ++seed) {
     auto graph = test::make_graph({40, 20}, seed).graph;
-    test::random_motion any(seed);
+    test::random_motions any(seed);
     for (auto& T : graph.T_world_pose) { T = any(2, 100); }  // also of more than half a turn
     graph.fixed.assign(40, 0);
     graph.fixed[3] = 1;
@@ -140,7 +140,7 @@ TEST(SimilarityGraphFiles, AreReadAsG2oWritesThem) {
 TEST(SimilarityGraphFiles, RoundTripsKeepNumbers) {
   for (unsigned seed = 1; seed <= 5; ++seed) {
     auto graph = test::make_similarity_graph({40, 20}, seed).graph;
-    test::random_motion any(seed);
+    test::random_motions any(seed);
     for (auto& T : graph.T_world_pose) {
       auto const placed = any(2, 100);  // also of more than half a turn
       T = {placed.R, placed.t, std::exp(any.number())};
@@ -173,7 +173,7 @@ TEST(SimilarityGraphFiles, InformationIsThatOfTheLogarithm) {
   for (auto& e : graph.edges) { e.T_from_to = ft::similarity<double>::identity(); }
   std::stringstream file;
   ft::write_g2o(file, graph);
-  test::random_motion any(4);
+  test::random_motions any(4);
   std::size_t edges = 0;
   std::string tag;
   for (std::string line; std::getline(file, line);) {

@@ -77,7 +77,7 @@ inline bool same_bits(std::vector<ft::rigid<double>> const& a,
 }
 
 TEST(PoseGraphEdge, DerivativesAreThoseOfDifferences) {
-  test::random_motion any(7);
+  test::random_motions any(7);
   double const h = 1e-6;
   for (int round = 0; round < 50; ++round) {
     ft::pose_graph_edge edge;
@@ -118,7 +118,7 @@ TYPED_TEST(pose_graphs, exact_measurements_give_the_truth) {
                      made.truth[static_cast<std::size_t>(e.to)])
                         .orthonormalized();
     }
-    test::random_motion any(seed);
+    test::random_motions any(seed);
     for (std::size_t i = 1; i < made.truth.size(); ++i) {
       made.graph.T_world_pose[i] = made.truth[i] * any(0.05, 0.1);
     }
@@ -142,7 +142,7 @@ TYPED_TEST(pose_graphs, result_is_a_minimum) {
     EXPECT_LT(report.last_chi2, report.first_chi2);
     double const least = plain_chi2(graph);
     EXPECT_NEAR(report.last_chi2, least, 1e-9 * least);
-    test::random_motion any(seed);
+    test::random_motions any(seed);
     for (int round = 0; round < 30; ++round) {
       auto moved = graph;
       for (std::size_t i = 1; i < moved.T_world_pose.size(); ++i) {
@@ -198,7 +198,7 @@ TYPED_TEST(pose_graphs, fixed_poses_and_parts_stay) {
   graph.fixed.assign(50, 0);
   graph.fixed[7] = graph.fixed[31] = 1;
   // A second part of three poses, which no edge joins with the first.
-  test::random_motion any(9);
+  test::random_motions any(9);
   for (int k = 0; k < 3; ++k) {
     graph.T_world_pose.push_back(any(1, 1));
     graph.fixed.push_back(0);
@@ -264,7 +264,7 @@ inline ft::rigid<double> with_heading(ft::rigid<double> const& T, ft::vec3<doubl
 TYPED_TEST(pose_graphs, with_gravity_headings_and_positions_become_the_truth) {
   ft::vec3<double> const up{0.6, 0, -0.8};
   auto made = make_graph({60, 20}, 4);
-  test::random_motion any(4);
+  test::random_motions any(4);
   for (std::size_t i = 1; i < made.truth.size(); ++i) {
     double const turn = 0.2 * any.number();
     made.graph.T_world_pose[i] =
@@ -302,7 +302,7 @@ TYPED_TEST(pose_graphs, with_gravity_angles_against_it_stay_and_the_rest_is_a_mi
       auto const d = now - before;
       EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-12) << i;
     }
-    test::random_motion any(seed);
+    test::random_motions any(seed);
     for (int round = 0; round < 30; ++round) {
       auto moved = graph;
       for (std::size_t i = 1; i < moved.T_world_pose.size(); ++i) {

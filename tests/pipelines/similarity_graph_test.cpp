@@ -70,7 +70,7 @@ static_assert(ft::similarity_edge().information[0] == 1 &&
               "at first the identity");
 
 TEST(SimilarityEdge, DerivativesAreThoseOfDifferences) {
-  test::random_motion any(8);
+  test::random_motions any(8);
   auto const scaled_motion = [&](double angle, double length) {
     auto const T = any(angle, length);
     return motion{T.R, T.t, std::exp(0.5 * any.number())};
@@ -122,7 +122,7 @@ inline test::generated_similarity_graph exact_graph(test::graph_shape const& sha
 TYPED_TEST(similarity_graphs, exact_measurements_give_the_truth) {
   for (unsigned seed = 1; seed <= 3; ++seed) {
     auto made = exact_graph({60, 20}, seed);
-    test::random_motion any(seed);
+    test::random_motions any(seed);
     for (std::size_t i = 1; i < made.truth.size(); ++i) {
       auto const noise = any(0.05, 0.1);
       made.graph.T_world_pose[i] =
@@ -144,7 +144,7 @@ TYPED_TEST(similarity_graphs, exact_measurements_give_the_truth) {
 TYPED_TEST(similarity_graphs, with_gravity_headings_positions_and_scales_become_the_truth) {
   ft::vec3<double> const up{0.6, 0, -0.8};
   auto made = exact_graph({60, 20}, 4);
-  test::random_motion any(4);
+  test::random_motions any(4);
   for (std::size_t i = 1; i < made.truth.size(); ++i) {
     double const turn = 0.2 * any.number();
     auto const& T = made.truth[i];
@@ -240,7 +240,7 @@ TYPED_TEST(similarity_graphs, result_is_a_minimum) {
     EXPECT_LT(report.last_chi2, report.first_chi2);
     double const least = plain_chi2(graph);
     EXPECT_NEAR(report.last_chi2, least, 1e-9 * least);
-    test::random_motion any(seed);
+    test::random_motions any(seed);
     for (int round = 0; round < 30; ++round) {
       auto moved = graph;
       for (std::size_t i = 1; i < moved.T_world_pose.size(); ++i) {

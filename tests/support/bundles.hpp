@@ -35,7 +35,7 @@ struct generated_bundle {
 template <typename Camera>
 generated_bundle<Camera> make_bundle(bundle_shape const& shape, std::vector<Camera> const& cameras,
                                      unsigned seed) {
-  random_motion any(seed);
+  random_motions any(seed);
   auto const uniform = [&] { return std::uniform_real_distribution<double>(-1, 1)(any.random); };
   double const full = 6.283185307179586;
   ft::bundle<Camera> map;

@@ -24,9 +24,9 @@ inline ft::mat3<double> turned_by(ft::vec3<double> w) {
   return R;
 }
 
-struct random_motion {
+struct random_motions {
   std::mt19937 random;
-  explicit random_motion(unsigned seed) : random(seed) {}
+  explicit random_motions(unsigned seed) : random(seed) {}
 
   double number() { return std::normal_distribution<double>()(random); }
   ft::vec3<double> vector(double size) {
@@ -53,7 +53,7 @@ struct generated_graph {
 
 /// A walk with loops, and measurements with noise that is not as the information says.
 inline generated_graph make_graph(graph_shape const& shape, unsigned seed) {
-  random_motion any(seed);
+  random_motions any(seed);
   generated_graph made;
   made.truth.push_back(ft::rigid<double>::identity());
   for (int i = 1; i < shape.poses; ++i) {
@@ -118,7 +118,7 @@ struct generated_similarity_graph {
 /// The graph of make_graph, its poses with scales that drift.
 inline generated_similarity_graph make_similarity_graph(graph_shape const& shape, unsigned seed) {
   auto const rigid = make_graph(shape, seed);
-  random_motion any(seed + 1000);
+  random_motions any(seed + 1000);
   generated_similarity_graph made;
   double log_scale = 0;
   for (auto const& T : rigid.truth) {

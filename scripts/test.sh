@@ -31,7 +31,6 @@ done
 build=$ft_root/build
 if ((quick)); then build=$ft_root/build-quick; fi
 asan=$ft_root/build-asan
-asan_shim=$asan
 jobs=$(ft_jobs)
 if [[ -z ${FT_DATA:-} && -d $ft_root/../shared ]]; then
   FT_DATA=$(cd "$ft_root/../shared" && pwd)
@@ -191,7 +190,7 @@ configure_build() {
   read -ra cuda <<<"$(cuda_options)"
   if ((quick)); then once=OFF; fi
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=12 -DFT_TESTS_ONCE=$once \
+    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=24 -DFT_TESTS_ONCE=$once \
     -DFT_TEST_SHARDS=$((2 * jobs)) "${cuda[@]}"
 }
 quick_tests=(stage_tests_host optimized_tests_host contract_tests_host conformance)
@@ -213,9 +212,6 @@ check_headers_with_clang() {
 
 build_sanitized() {
   cmake --build "$asan" --parallel "$1" --target ft_host_tests
-  if [[ $asan_shim != "$asan" ]]; then
-    cmake --build "$asan_shim" --parallel "$1" --target orbslam3_tests
-  fi
 }
 build_threads() {
   cmake --build --preset host-tsan --parallel "$1"
@@ -223,20 +219,18 @@ build_threads() {
 # A core that other steps leave idle builds ahead of its turn. Failures show when it is built in its turn.
 start_ahead() {
   export -f build_sanitized build_threads
-  export asan asan_shim
+  export asan
   setsid nice -n 15 bash -c 'build_sanitized 1 && build_threads 1' >/dev/null 2>&1 </dev/null 4>&- &
   ahead=$!
 }
-# Programs of clang++ run in a third of the time of those of g++, compiled as fast. What its optimiser takes away before
-# AddressSanitizer sees it, a read of a local array after its scope, is an error of g++ -Wall in the steps before. The shim
-# is g++'s: tests/CMakeLists.txt.
+# Programs of clang++ run in a third of the time of those of g++. What its optimiser takes away before AddressSanitizer
+# sees it, a read of a local array after its scope, is an error of g++ -Wall in the steps before. Reports name functions;
+# with the preset's own flags they have the numbers of lines, too.
 prepare_sanitizers() {
   local compiler=()
   if command -v clang++ >/dev/null; then
-    asan_shim=$asan-shim
-    cmake --preset host-asan -B "$asan_shim"
     compiler=(-DCMAKE_CXX_COMPILER=clang++
-              "-DCMAKE_CXX_FLAGS_RELWITHDEBINFO=-O1 -gline-tables-only -D_GLIBCXX_ASSERTIONS")
+              "-DCMAKE_CXX_FLAGS_RELWITHDEBINFO=-O1 -D_GLIBCXX_ASSERTIONS")
   fi
   cmake --preset host-asan "${compiler[@]}"
   cmake --preset host-tsan
@@ -258,9 +252,6 @@ build_sanitizers() {
 run_sanitizer_tests() {
   local effort=${FT_TEST_EFFORT:-10}
   FT_TEST_EFFORT=$effort run_ctest sanitizers "$asan"
-  if [[ $asan_shim != "$asan" ]]; then
-    FT_TEST_EFFORT=$effort run_ctest sanitizers_shim "$asan_shim" -R '^orbslam3_tests'
-  fi
 }
 
 printf '== Dependencies\n'

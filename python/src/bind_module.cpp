@@ -2,7 +2,9 @@
 #include <nanobind/stl/vector.h>
 
 #include "examples/sequence/types.hpp"
+#include "ft/any_odometry.hpp"
 #include "ft/core/error.hpp"
+#include "ft/types/odometry_params.hpp"
 #include "ft/version.hpp"
 #include "python/src/arrays.hpp"
 
@@ -24,6 +26,30 @@ std::vector<std::string> devices() {
   return all;
 }
 
+/// By the names of Odometry's arguments.
+nb::dict defaults() {
+  ft::odometry_params const p;
+  nb::dict d;
+  d["near_depth"] = p.rules.near_depth;
+  d["map_slots"] = p.map_slots;
+  d["keyframes"] = p.keyframes;
+  d["local_points"] = p.local_points;
+  d["window"] = nb::make_tuple(p.window.moving, p.window.fixed);
+  d["window_points"] = p.window_points;
+  d["candidates"] = ft::place_options{}.candidates;
+  d["loops"] = p.loops.present;
+  d["own_features"] = p.own_features;
+  d["measure_stages"] = p.measure_stages;
+  d["features"] = p.orb.features;
+  d["levels"] = p.orb.levels;
+  d["scale_factor"] = p.orb.scale_factor;
+  d["ini_threshold"] = p.orb.ini_threshold;
+  d["min_threshold"] = p.orb.min_threshold;
+  d["mask_size"] = nb::make_tuple(p.orb.mask_width, p.orb.mask_height);
+  d["std_sort"] = p.orb.ties == ft::tie_rule::std_sort;
+  return d;
+}
+
 }  // namespace
 }  // namespace ftpy
 
@@ -36,6 +62,7 @@ NB_MODULE(_ft, m) {
   nanobind::register_exception_translator(ftpy::translate);
   m.def("devices", ftpy::devices,
         "Where work can run: 'host', and a line 'cuda: NAME' for each GPU that can be used.");
+  m.def("defaults", ftpy::defaults, "Of Odometry's arguments, those that C++ has too.");
   ftpy::bind_calibration(m);
   ftpy::bind_cameras(m);
   ftpy::bind_features(m);

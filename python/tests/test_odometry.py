@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import gc
+import inspect
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pytest
 from conftest import BASELINE, CAMERA, FAR, HEIGHT, NEAR, WIDTH, effort, follow
 
 import ft
+from ft import _ft
 
 
 def test_the_walk_is_found(walk, device):
@@ -339,3 +341,10 @@ def test_tensors_of_torch_are_read_in_place(walk):
         rights = torch.from_numpy(right).cuda().expand(batch, HEIGHT, WIDTH).contiguous()
         poses = odometry.track(list(lefts), list(rights), [t] * batch)
         assert all(np.array_equal(p.T_world_camera, want[i].T_world_camera) for p in poses)
+
+
+def test_defaults_are_those_of_cpp():
+    arguments = inspect.signature(ft.Odometry.__init__).parameters
+    for name, default in _ft.defaults().items():
+        given = arguments[name].default
+        assert given == (pytest.approx(default) if isinstance(default, float) else default), name

@@ -297,8 +297,8 @@ TEST(reader_euroc, takes_jpeg_files) {
     std::string const base =
         "mav0/cam" + std::to_string(camera) + "/data/" + std::to_string(stamp(0));
     fs::remove(folder.path(base + ".png"));
-    std::vector<std::uint8_t> const bytes = seq::encode_jpeg(picture(camera), 95);
-    folder.write(base + ".jpg", std::string(bytes.begin(), bytes.end()));
+    std::vector<std::uint8_t> const jpeg = seq::encode_jpeg(picture(camera), 95);
+    folder.write(base + ".jpg", std::string(jpeg.begin(), jpeg.end()));
   }
   EXPECT_EQ(seq::sequence::open(folder.path()).load(0).left.width, image_width);
 }

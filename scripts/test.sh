@@ -229,7 +229,7 @@ start_ahead() {
 prepare_sanitizers() {
   local compiler=()
   if command -v clang++ >/dev/null; then
-    compiler=(-DCMAKE_CXX_COMPILER=clang++
+    compiler=(-DCMAKE_CXX_COMPILER=clang++ -DFT_TEST_BATCH=60
               "-DCMAKE_CXX_FLAGS_RELWITHDEBINFO=-O1 -D_GLIBCXX_ASSERTIONS")
   fi
   cmake --preset host-asan "${compiler[@]}"

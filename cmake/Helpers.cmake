@@ -152,7 +152,7 @@ endfunction()
 
 # ft_write_unit(unit sources...): a file that includes them by their paths from the project's folder, which it has to be
 # compiled with as an include folder. So it has the same text in every checkout, for compiler caches. With sanitizers
-# clang++ takes half as long where it does not optimise the sources, bodies of tests; what they include it does.
+# clang++ does not optimise the sources themselves, bodies of tests, which halves its time; it optimises what they include.
 function(ft_write_unit unit)
   set(includes)
   set(text)

@@ -344,7 +344,9 @@ def test_tensors_of_torch_are_read_in_place(walk):
 
 
 def test_defaults_are_those_of_cpp():
-    arguments = inspect.signature(ft.Odometry.__init__).parameters
+    arguments = dict(inspect.signature(ft.Odometry.__init__).parameters)
+    of_python = {"self", "rig", "width", "height", "imu", "batch", "device", "vocabulary", "descriptors", "threads"}
+    assert set(arguments) - of_python == set(_ft.defaults())
     for name, default in _ft.defaults().items():
         given = arguments[name].default
         assert given == (pytest.approx(default) if isinstance(default, float) else default), name

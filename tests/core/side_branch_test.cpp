@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // Branches: what is queued on one sees what was there at the fork, and is there after the join,
-// queued or recorded. Concurrent launches likewise.
+// queued or recorded. Concurrent launches likewise. What a host waits for.
 #include "ft/core/recording.hpp"
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <vector>
 
+#include "ft/core/atomics.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "tests/support/backends.hpp"
@@ -133,6 +135,58 @@ TYPED_TEST(side_branch_unit, a_second_fork_waits_for_the_main_line_again) {
       ASSERT_EQ(got[i], (5 * 4 + 3 + 7 * 4 + 1) * values[i]) << i << " in round " << round;
     }
   }
+}
+
+/// Writes a value to memory of the host, by all threads, and then the flag.
+struct tell_host {
+  using scratch = ft::no_scratch;
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int, int const* value, int n, int* told,
+                                 int* flag) const {
+    for (int i = g.rank(); i < n; i += g.size()) { told[i] = *value; }
+    g.sync();
+    if (g.rank() == 0) { ft::set_flag(flag); }
+  }
+};
+
+TYPED_TEST(side_branch_unit, the_host_sees_what_was_written_before_a_flag_and_at_a_mark) {
+  using executor = typename TypeParam::exec_type;
+  using staged = ft::buffer<int, ft::staging_space<executor>>;
+  auto const& exec = this->backend.exec;
+  constexpr int n = 300;
+  staged const value(1), told(n), later(n), flags(2);
+  typename TestFixture::memory const work(static_cast<std::size_t>(TestFixture::size));
+  ft::work_mark<executor> end;
+  end.wait();  // nothing was marked
+  end.make();
+  auto const queue = [&](executor const& e) {
+    auto const tell = [&](staged const& to, int* flag) {
+      ft::for_each_item<ft::per_warp>(e, 1, tell_host{}, static_cast<int const*>(value.data()),
+                                      int{n}, to.data(), flag);
+    };
+    TestFixture::add(e, 1, work, work, work);
+    tell(told, flags.data());
+    for (int i = 0; i < 20; ++i) { TestFixture::add(e, 1, work, work, work); }
+    tell(later, flags.data() + 1);
+  };
+  ft::fill_bytes(exec, work.data(), 0, work.bytes());
+  exec.wait();
+  ft::recording<executor> recorded;
+  recorded.record(exec, queue);
+  for (int round = 1; round <= 50; ++round) {
+    *value.data() = round;
+    flags.data()[0] = flags.data()[1] = 0;
+    recorded.replay(exec, queue);
+    end.set(exec);
+    exec.wait_until([&] { return ft::is_set(flags.data()); });
+    ASSERT_EQ(std::count(told.data(), told.data() + n, round), n) << round;
+    end.make_wait(exec);
+    end.wait();
+    ASSERT_TRUE(ft::is_set(flags.data() + 1)) << round;
+    ASSERT_EQ(std::count(later.data(), later.data() + n, round), n) << round;
+  }
+  flags.data()[0] = 0;
+  exec.wait_until([] { return false; });  // all work is complete
 }
 
 TYPED_TEST(side_branch_unit, concurrent_launches_find_what_the_preceding_grid_waited_for) {

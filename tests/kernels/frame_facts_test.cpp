@@ -127,8 +127,8 @@ struct facts_of {
   template <typename Group, typename Rig>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig,
                                  ft::observations_view const& of, ft::pose const* T_cw,
-                                 ft::rigid<double> const* last,
-                                 ft::pyramid_geometry const& geometry, ft::frame_facts* out) const {
+                                 ft::pose const* last, ft::pyramid_geometry const& geometry,
+                                 ft::frame_facts* out) const {
     ft::frame_facts const f =
         ft::detail::weigh_observations(g, s, 0, rig, of, *T_cw, *last, geometry, 0.0f);
     if (g.rank() == 0) { *out = f; }
@@ -144,7 +144,7 @@ ft::frame_facts weigh(Exec const& exec, Rig const& rig, std::vector<ft::observat
   auto const now = test::to_exec(exec, std::vector<ft::pose>{ft::pose::identity()});
   ft::rigid<double> T = ft::rigid<double>::identity();
   T.t.x = moved;
-  auto const last = test::to_exec(exec, std::vector<ft::rigid<double>>{T});
+  auto const last = test::to_exec(exec, std::vector<ft::pose>{T.cast<float>()});
   auto const out = test::to_exec(exec, std::vector<ft::frame_facts>(1));
   ft::observations_view view;
   view.items = items.data();
@@ -153,8 +153,8 @@ ft::frame_facts weigh(Exec const& exec, Rig const& rig, std::vector<ft::observat
   view.capacity = static_cast<int>(all.size());
   ft::for_each_item<ft::per_block<128>>(
       exec, 1, facts_of{}, rig, view, static_cast<ft::pose const*>(now.data()),
-      static_cast<ft::rigid<double> const*>(last.data()),
-      ft::pyramid_geometry::make(width, height, 1, 1.2f), out.data());
+      static_cast<ft::pose const*>(last.data()), ft::pyramid_geometry::make(width, height, 1, 1.2f),
+      out.data());
   return test::from_exec(exec, static_cast<ft::frame_facts const*>(out.data()), 1)[0];
 }
 

@@ -559,4 +559,18 @@ TYPED_TEST(odometry_pipeline, goes_on_when_the_map_is_full) {
   EXPECT_GT(all.back().keyframes, 3);
 }
 
+/// What a keyframe does to the map is told with the frame after it.
+TYPED_TEST(odometry_pipeline, tells_of_a_keyframe_with_the_next_frame) {
+  TypeParam backend;
+  auto const rig = test::room::rig();
+  auto p = params();
+  p.map_slots = 150;
+  auto const all = run(backend.exec, rig, p, walk(rig, 0));
+  EXPECT_TRUE(all[0].keyframe);
+  EXPECT_EQ(all[0].map_points, 0);
+  EXPECT_EQ(all[0].left_out, 0);
+  EXPECT_EQ(all[1].map_points, 150);
+  EXPECT_EQ(all[1].left_out, all[0].stereo_points - 150);
+}
+
 }  // namespace odometry_test

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Atomic operations on integers: relaxed ones, whose sums, minima and maxima do not depend
-/// on the order of the calls, and a counter with release and acquire semantics.
+/// on the order of the calls, and a counter and a flag with release and acquire semantics.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -68,6 +68,18 @@ FT_HOST_DEVICE void atomic_max(T* address, T value) {
                                                       __ATOMIC_RELAXED)) {}
 #endif
 }
+
+/// Sets a flag to 1 with release semantics, for the whole system: a host that sees it by is_set()
+/// sees what this thread has written before, and what others have that it has synchronised with.
+FT_HOST_DEVICE inline void set_flag(int* address) {
+#if defined(__CUDA_ARCH__)
+  asm volatile("st.release.sys.s32 [%0], %1;" : : "l"(address), "r"(1) : "memory");
+#else
+  __atomic_store_n(address, 1, __ATOMIC_RELEASE);
+#endif
+}
+/// Of the host.
+inline bool is_set(int const* address) { return __atomic_load_n(address, __ATOMIC_ACQUIRE) != 0; }
 
 /// Adds 1 with release semantics, for the whole device: writes that come before are visible to
 /// threads that see the sum through atomic_load_acquire(). In PTX, which is what cuda::atomic_ref

@@ -97,6 +97,8 @@ public:
 
   /// Returns at once: all calls are synchronous.
   void wait() const {}
+  template <typename Done>
+  void wait_until(Done const&) const {}
   /// The address through which stages can read host pointer `p`; null if they cannot.
   static void const* host_address(void const* p) { return p; }
 

@@ -123,5 +123,38 @@ private:
 };
 #endif
 
+/// A place in an executor's work, which other work, or the host, can wait for. On the host all work
+/// is complete.
+template <typename Exec>
+class work_mark {
+public:
+  void make() {}
+  void set(Exec const&) const {}
+  void wait() const {}
+  void make_wait(Exec const&) const {}
+};
+
+#if defined(__CUDACC__)
+/// Owns an event; move-only.
+template <>
+class work_mark<cuda_exec> {
+public:
+  /// Creates the event; once, before the first set(). @throws cuda_error
+  void make() { event_.emplace(); }
+  /// After all that is enqueued so far. @throws cuda_error
+  void set(cuda_exec const& exec) const { event_->record(exec.stream); }
+  /// Blocks until the work before the last set() is done; not at all without one.
+  /// @throws cuda_error
+  void wait() const {
+    if (event_) { throw_on_error(cudaEventSynchronize(event_->get()), "cudaEventSynchronize"); }
+  }
+  /// Makes later work of `exec` wait for it. Asynchronous. @throws cuda_error
+  void make_wait(cuda_exec const& exec) const { event_->make_wait(exec.stream); }
+
+private:
+  std::optional<event> event_;
+};
+#endif
+
 }  // namespace FT_ABI
 }  // namespace ft

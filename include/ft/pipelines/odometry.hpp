@@ -95,7 +95,9 @@ public:
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params)
       : odometry(exec, rig, params, 1) {}
 
-  /// Tracks the next frame of all cameras. Synchronous; allocates nothing.
+  /// Tracks the next frame of all cameras. Returns as soon as what it returns is known; on a device
+  /// a keyframe enters the map meanwhile, on the executor's stream, unless a part is plugged in.
+  /// Images are not read any more. Allocates nothing.
   /// @param images [batch] @param time_ns [batch] when the images were taken; ascending
   /// @return [batch] valid until the next call
   /// @throws bad_argument for an image that is null or of another size, or for a time that is not
@@ -116,7 +118,7 @@ public:
 
   /// Tracks the next frame by keypoints of the caller, see given_features, instead of images: what
   /// depends on images alone, tracking::light and warnings about them, is not there. Needs
-  /// own_features. Synchronous; allocates nothing.
+  /// own_features. Returns when the frame is complete; allocates nothing.
   /// @param features [batch] @param time_ns [batch] when they were seen; ascending
   /// @return [batch] valid until the next call
   /// @throws bad_argument for features as image_features says, naming the first, for a time that is
@@ -245,10 +247,18 @@ public:
     return made().results[static_cast<std::size_t>(b)];
   }
   /// Keypoints of the last frame, in host memory, valid until the next track(). Those of a keyframe
-  /// hold its new map points, too. The visibility of local map points is not reported.
-  tracked_frame_view const& keypoints() const { return made().stages.memory.result; }
+  /// hold its new map points, too. The visibility of local map points is not reported. Waits for
+  /// the end of the frame. @throws cuda_error
+  tracked_frame_view const& keypoints() const {
+    made().frame_end.wait();
+    return made().stages.memory.result;
+  }
   /// [batch][cameras * capacity] 1 = the keypoint was matched to a map point from before its frame.
-  unsigned char const* matched() const { return made().stages.own.matched; }
+  /// Waits likewise.
+  unsigned char const* matched() const {
+    made().frame_end.wait();
+    return made().stages.own.matched;
+  }
   /// The map of camera pair b. Waits, and allocates. Empty if there is none.
   /// @throws bad_argument for a pair that does not exist; std::bad_alloc, cuda_error
   odometry_map download_map(int b = 0) const {
@@ -319,6 +329,7 @@ public:
   std::vector<stage_time> stage_times() const {
     detail::require(made().stages.settings.measure_stages,
                     "stage times need odometry_params::measure_stages");
+    made().frame_end.wait();
     return made().last_clock->times();
   }
 
@@ -338,7 +349,8 @@ public:
   Rig const& rig() const { return made().rig; }
   Exec const& executor() const { return made().exec; }
   pyramid_geometry const& geometry() const { return made().stages.geometry(); }
-  /// Executor memory, for user-defined stages.
+  /// Executor memory, for stages of yours on the executor: its stream may still be busy with the
+  /// last frame.
   odometry_map_view map() const { return made().stages.own.map; }
 
 private:

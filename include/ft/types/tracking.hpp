@@ -140,8 +140,9 @@ struct tracking {
   int stereo_points = 0;  ///< of these, with a depth
   int local_points = 0;   ///< map points that were searched
   int left_out = 0;       ///< map points for which a limit of odometry_params left no room: in the
-                          ///< local map, among new points, in an adjustment that began
-  int map_points = 0;     ///< in the map
+                          ///< local map; and, with the frame before, among new points, and in an
+                          ///< adjustment that began
+  int map_points = 0;     ///< in the map, without the new ones of the frame's own keyframe
   int maps = 0;           ///< begun so far; the world is that of the first one, as far as known
   int keyframes = 0;      ///< made so far
   /// Row-major 6 x 6 covariance of a small twist x, rotation first, in T_world_camera * exp(x):

@@ -109,8 +109,7 @@ struct facts_scratch {
 template <typename Group, typename Rig>
 FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, Rig const& rig,
                                               observations_view const& in, pose const& T_cw,
-                                              rigid<double> const& last,
-                                              pyramid_geometry const& geometry,
+                                              pose const& last, pyramid_geometry const& geometry,
                                               float disparity_root) {
   using real = strict_float;  // an eighth of a pixel is wanted
   auto const now = T_cw.template cast<real>();
@@ -181,38 +180,30 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
   return n;
 }
 
-/// What report_frames() reads. Executor memory.
+/// What weigh_frames() reads. Executor memory.
 template <typename Rig>
-struct reported_frames {
+struct weighed_frames {
   Rig rig;
-  observations_view observations;          ///< of the last pose
-  chance_counts const* chances = nullptr;  ///< [batch]
-  int const* inliers = nullptr;            ///< [batch] of the judged frame
-  pyramid_geometry geometry{};             ///< of the images
-  float disparity_root = 0;                ///< as in pose_limits
+  observations_view observations;  ///< of the last pose
+  pose const* T_cw = nullptr;      ///< [batch] that pose
+  pose const* last = nullptr;      ///< [batch] of the last frame
+  pyramid_geometry geometry{};     ///< of the images
+  float disparity_root = 0;        ///< as in pose_limits
 };
 
 /// Item: a camera.
-struct report_frame {
+struct weigh_frame {
   using scratch = facts_scratch;
 
   template <typename Group, typename Rig>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, reported_frames<Rig> const& in,
-                                 odometry_state_view const& state) const {
-    camera_track& t = state.tracks[b];
-    if (t.plan == search_plan::nothing) { return; }
-    weighed_poses const at = state.weighed[b];
-    frame_facts facts = weigh_observations(g, s, b, in.rig, in.observations, at.T_cw, at.last,
-                                           in.geometry, in.disparity_root);
-    if (g.rank() != 0) { return; }
-    facts.fixed = t.facts.fixed;
-    facts.dragged = t.facts.dragged;
-    facts.held_before = t.facts.held_before;
-    facts.moving = t.facts.moving;
-    facts.evidence = static_cast<int>(in.chances[b].bits(in.inliers[b]) / evidence_one);
-    t.facts = facts;
-    bool const found = state.counts[b] != sightings::none;
-    t.moved = found && 2 * facts.flowing > in.inliers[b] ? 1 : 0;
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, weighed_frames<Rig> const& in,
+                                 camera_track const* tracks, frame_facts* out) const {
+    frame_facts facts{};
+    if (tracks[b].plan != search_plan::nothing) {
+      facts = weigh_observations(g, s, b, in.rig, in.observations, in.T_cw[b], in.last[b],
+                                 in.geometry, in.disparity_root);
+    }
+    if (g.rank() == 0) { out[b] = facts; }
   }
 };
 
@@ -270,12 +261,14 @@ void count_chances_of_frames(Exec const& exec, frame_view const& frame, local_se
                           detail::count_frame_chances{}, frame, in, capacity, map, out);
 }
 
-/// What the matches of judged frames say: camera_track::facts and `moved`. Nothing in the frame
-/// waits for it. Asynchronous on `exec`; allocates nothing; one launch.
+/// What the matches of frames say about their last pose: what of frame_facts observations tell, the
+/// others are 0. Does not need the judgement of the frames, and may run beside it. Asynchronous on
+/// `exec`; allocates nothing; one launch.
+/// @param tracks [batch] `plan` is read @param out [batch]
 template <typename Exec, typename Rig>
-void report_frames(Exec const& exec, detail::reported_frames<Rig> const& in,
-                   odometry_state_view const& state) {
-  for_each_item<per_block<256>>(exec, state.batch, detail::report_frame{}, in, state);
+void weigh_frames(Exec const& exec, int batch, detail::weighed_frames<Rig> const& in,
+                  camera_track const* tracks, frame_facts* out) {
+  for_each_item<per_block<512>>(exec, batch, detail::weigh_frame{}, in, tracks, out);
 }
 
 }  // namespace FT_ABI

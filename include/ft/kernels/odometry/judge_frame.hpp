@@ -33,8 +33,8 @@ struct searched_frames {
   frame_view frame;
   /// [batch][depth_cameras * capacity] of left keypoints, metres; not above 0 = none
   float const* depth;
-  int* inliers;  ///< [batch] of the last pose; 0 is written for a frame that is not tracked
-  pose* T_cw;    ///< [batch] the last pose; the frame's pose is written
+  int* inliers;      ///< [batch] of the last pose; 0 is written for a frame that is not tracked
+  pose const* T_cw;  ///< [batch] the last pose
   unsigned char* matched;   ///< output, [batch][cameras * capacity] 1 = the keypoint was matched to
                             ///< a map point from before the frame
   local_search<Rig> local;  ///< in which points were searched; its pose is not used
@@ -118,7 +118,7 @@ private:
     int const inliers = in.inliers[b];
     search_plan const plan = t.plan;
     t.begins = 0;
-    state.weighed[b] = {in.T_cw[b], state.T_cw[b]};
+    t.left_out = t.new_left_out;
     frame_facts facts{};
     facts.fixed = t.facts.fixed;
     facts.dragged = t.facts.dragged;
@@ -152,7 +152,6 @@ private:
       t.adjusting = 1;
       t.new_keyframe = 0;
     }
-    in.T_cw[b] = state.T_cw[b].template cast<float>();
     if constexpr (is_monocular_v<Rig>) {
       in.begins.wants_more[b] = looks_for_start(t, in.begins.patience) ? 1 : 0;
     }

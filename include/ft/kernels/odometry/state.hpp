@@ -67,6 +67,9 @@ struct camera_track {
   int moved;                 ///< 1 = most inliers moved 2 pixels since the frame before
   int new_keyframe;          ///< 1 = since the last adjustment was begun
   int adjusting;             ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
+  int new_left_out;          ///< map points for which the keyframe of the current frame, or the
+                             ///< adjustment that began with it, had no room
+  int left_out;              ///< the same of the frame before
 
   FT_HOST_DEVICE static camera_track initial() {
     camera_track t{};
@@ -84,31 +87,24 @@ struct camera_track {
   FT_HOST_DEVICE bool has_map() const { return state != tracking_state::initialising; }
 };
 
-/// Poses by which the matches of a frame are weighed.
-struct weighed_poses {
-  pose T_cw;           ///< of the last search
-  rigid<double> last;  ///< of the last frame
-};
-
 /// The state of all cameras, and what stages decide for those that follow. Executor memory.
 struct odometry_state_view {
-  camera_track* tracks = nullptr;    ///< [batch]
-  rigid<double>* T_cw = nullptr;     ///< [batch] of the last frame, then of the current one
-  local_map_mode* mode = nullptr;    ///< [batch] of choose_local_map()
-  float* radius_factor = nullptr;    ///< [batch] of the search in the local map
-  sightings* counts = nullptr;       ///< [batch] what count_sightings() counts
-  keyframe_order* order = nullptr;   ///< [batch] of insert_keyframe()
-  std::int64_t* time_ns = nullptr;   ///< [batch] of the current frame
-  int* gather = nullptr;             ///< [batch] 1 = an adjustment begins with this frame
-  int* apply = nullptr;              ///< [batch] 1 = an adjustment ends with this frame
-  weighed_poses* weighed = nullptr;  ///< [batch] of the current frame, before it was judged
+  camera_track* tracks = nullptr;   ///< [batch]
+  rigid<double>* T_cw = nullptr;    ///< [batch] of the last frame, then of the current one
+  local_map_mode* mode = nullptr;   ///< [batch] of choose_local_map()
+  float* radius_factor = nullptr;   ///< [batch] of the search in the local map
+  sightings* counts = nullptr;      ///< [batch] what count_sightings() counts
+  keyframe_order* order = nullptr;  ///< [batch] of insert_keyframe()
+  std::int64_t* time_ns = nullptr;  ///< [batch] of the current frame
+  int* gather = nullptr;            ///< [batch] 1 = an adjustment begins with this frame
+  int* apply = nullptr;             ///< [batch] 1 = an adjustment ends with this frame
   int batch = 0;
 };
 
 inline void carve(carver& c, odometry_state_view& v, int batch) {
   v.batch = batch;
   c.place({batch}, v.tracks, v.T_cw, v.mode, v.radius_factor, v.counts, v.order, v.time_ns,
-          v.gather, v.apply, v.weighed);
+          v.gather, v.apply);
 }
 
 }  // namespace FT_ABI

@@ -86,8 +86,9 @@ public:
     for (int b = 0; b < batch; ++b) { memory_.inputs[b].window = flags[b]; }
     run = -1;
   }
-  /// After a frame, and the wait for it: launches the adjustment of the cameras that gathered one.
-  void begin_after(long long frame) {
+  /// After a frame whose outputs are complete: launches the adjustment of the cameras that gathered
+  /// one. @param end of the frame
+  void begin_after(long long frame, work_mark<Exec> const& end) {
     int const batch = memory_.window.batch;
     bool any = false;
     for (int b = 0; b < batch; ++b) { any = any || memory_.outputs[b].gathered != 0; }
@@ -95,6 +96,7 @@ public:
     int* const flags = selected_by(next_);
     for (int b = 0; b < batch; ++b) { flags[b] = memory_.outputs[b].gathered; }
     ++next_;
+    beside_->begin_after(end);
     runs_[index(frame)] = beside_->begin();
   }
 

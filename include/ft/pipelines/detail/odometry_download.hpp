@@ -64,8 +64,8 @@ inline tracking tracking_of(odometry_output const& o) {
   t.state = o.state;
   t.keyframe = o.keyframe != 0;
   t.inliers = o.inliers;
-  t.keypoints = o.keypoints;
-  t.stereo_points = o.with_depth;
+  t.keypoints = o.seen.keypoints;
+  t.stereo_points = o.seen.with_depth;
   t.local_points = o.local_points;
   t.left_out = o.left_out;
   t.map_points = o.map_points;
@@ -73,16 +73,16 @@ inline tracking tracking_of(odometry_output const& o) {
   t.keyframes = o.keyframes;
   t.map_begun = o.begins_map != 0;
   t.agreed = o.agreed;
-  t.distant_points = o.distant;
-  t.light = light_of(o.light);
+  t.distant_points = o.seen.distant;
+  t.light = light_of(o.seen.light);
   t.map_id = o.state == tracking_state::initialising ? 0 : o.maps;
   t.evidence.facts = o.facts;
-  t.evidence.ambiguous = o.ambiguous;
-  t.evidence.images = o.changes.images;
-  t.evidence.same = o.changes.same;
-  t.evidence.textured = o.changes.textured;
-  t.evidence.moved = o.changes.moved;
-  t.evidence.streaked = o.changes.streaked;
+  t.evidence.ambiguous = o.seen.ambiguous;
+  t.evidence.images = o.seen.changes.images;
+  t.evidence.same = o.seen.changes.same;
+  t.evidence.textured = o.seen.changes.textured;
+  t.evidence.moved = o.seen.changes.moved;
+  t.evidence.streaked = o.seen.changes.streaked;
   t.start = o.start.outcome;
   t.start_matches = o.start.matches;
   if (o.begins_first_map != 0) { return t; }

@@ -2,6 +2,7 @@
 /// @file What an odometry consists of, and how it runs a frame.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -18,6 +19,7 @@
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/rgbd_rig.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
@@ -107,6 +109,7 @@ struct odometry_engine {
   int stamp = 0;
   odometry_adjustments<Exec, Rig> adjustments;
   std::unique_ptr<prefetch_type> prefetch;  ///< or none
+  work_mark<Exec> frame_end;                ///< of the last frame
 
   /// @param plugged parts, by their public names @throws bad_argument, std::bad_alloc, cuda_error
   template <typename... Plugged>
@@ -132,7 +135,14 @@ struct odometry_engine {
     }
     if (params.prefetch > 0) { prefetch = std::make_unique<prefetch_type>(exec, rig, stages); }
     last_clock = &launches_of(frame_extent::whole).clock;
+    frame_end.make();
     record();
+  }
+  /// Waits for the end of the last frame, which uses the memory and the recordings.
+  ~odometry_engine() {
+    try {
+      frame_end.wait();
+    } catch (cuda_error const&) {}  // the memory of the device is lost
   }
   odometry_engine(odometry_engine const&) = delete;
   odometry_engine& operator=(odometry_engine const&) = delete;
@@ -140,6 +150,7 @@ struct odometry_engine {
   /// Records the launches of frames. Not while frames are given.
   void record() {
     if (!stages.settings.use_graphs) { return; }
+    frame_end.wait();
     record_extents();
     if (prefetch == nullptr) { return; }
     prefetch->for_each_set(stages, [&] { record_extents(); });
@@ -175,22 +186,32 @@ struct odometry_engine {
     }
     require(taken, "the odometry was made without odometry_params::own_features");
   }
-  /// Runs a frame and waits for it. @param time_ns [batch]
+  /// Runs a frame and waits for its outputs; without parts not for its keyframe, which enters the
+  /// map meanwhile. @param time_ns [batch]
   tracking const* track(std::int64_t const* time_ns, frame_extent extent) {
     set_inputs(time_ns);
     adjustments.end_before(exec, frame);
     frame_launches& now = launches_of(extent);
     now.graph.replay(exec, [&](Exec const& e) { queue(e, extent); });
+    frame_end.set(exec);
     last_clock = &now.clock;
-    exec.wait();
+    if (stages.plugged.empty()) {
+      exec.wait_until([this] { return outputs_are_complete(); });
+    } else {
+      exec.wait();
+    }
     for (auto const& p : stages.plugged) { p->after_frame(exec, stages); }
-    adjustments.begin_after(frame);
+    adjustments.begin_after(frame, frame_end);
     take_outputs(time_ns);
     ++frame;
     return results.data();
   }
 
 private:
+  bool outputs_are_complete() const {
+    odometry_output const* const out = stages.own.outputs;
+    return std::all_of(out, out + stages.batch, [](auto const& o) { return is_set(&o.complete); });
+  }
   frame_launches& launches_of(frame_extent extent) {
     return launches[static_cast<std::size_t>(stages.features_number())]
                    [static_cast<std::size_t>(extent)];
@@ -252,6 +273,7 @@ private:
     for (int b = 0; b < stages.batch; ++b) {
       stages.own.inputs[b].time_ns = time_ns[b];
       stages.own.inputs[b].stamp = stamp;
+      stages.own.outputs[b].complete = 0;
       auto const i = static_cast<std::size_t>(b);
       for (auto const& p : stages.plugged) {
         p->before_frame(b, begun[i] != 0, times[i], time_ns[b]);

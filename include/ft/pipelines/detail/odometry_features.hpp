@@ -39,14 +39,13 @@ struct pass_over_images {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int b, int images,
-                                 image_changes_view const& changes,
-                                 odometry_output* outputs) const {
+                                 image_changes_view const& changes, seen_counts* seen) const {
     for (int i = b * images; i < (b + 1) * images; ++i) {
       changes.of[i] = {};
       changes.begun[i] = 0;
     }
-    outputs[b].light = {};
-    outputs[b].changes = {};
+    seen[b].light = {};
+    seen[b].changes = {};
   }
 };
 
@@ -95,7 +94,7 @@ public:
     gather_features(exec, staged_.limits(), Rig::images, staged_.given(), memory_->gathered);
     take_keypoints(exec, s.geometry(), sources(), keypoints, memory_->pixels);
     for_each_item<per_thread>(exec, s.batch, pass_over_images{}, int{Rig::images}, s.own.changes,
-                              s.own.outputs);
+                              s.own.seen);
     if constexpr (stages_type::undistorts) {
       s.undistort(exec);
     } else {

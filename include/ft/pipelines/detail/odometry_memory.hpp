@@ -46,8 +46,19 @@ struct change_counts {
   int streaked = 0;  ///< images that are sharp in one direction only
 };
 
+/// What a frame's images and keypoints are like, of a camera.
+struct seen_counts {
+  light_sums light;
+  change_counts changes;
+  int keypoints;
+  int with_depth;
+  int distant;    ///< of with_depth, those beyond distant_baselines
+  int ambiguous;  ///< of with_depth, those with a field::rival
+};
+
 /// What the host reads of a camera after a frame.
 struct odometry_output {
+  int complete;  ///< the host sets 0, and the executor 1 when the others are written
   rigid<double> T_cw;
   tracking_state state;
   int begins_map;
@@ -55,13 +66,8 @@ struct odometry_output {
   int keyframe;
   int gathered;  ///< 1 = an adjustment begins with this frame
   int inliers;
-  int keypoints;
-  int with_depth;
-  int distant;    ///< of with_depth, those beyond distant_baselines
-  int ambiguous;  ///< of with_depth, those with a field::rival
-  int agreed;     ///< with the pose that was tried last
-  light_sums light;
-  change_counts changes;
+  int agreed;  ///< with the pose that was tried last
+  seen_counts seen;
   frame_facts facts;
   start_report start;  ///< of one camera
   int local_points;
@@ -91,6 +97,8 @@ struct odometry_memory {
   image_changes_view changes;
   unsigned char* fixed = nullptr;      ///< [batch][numbers] as in frames_in_map
   chance_counts* chances = nullptr;    ///< [batch]
+  seen_counts* seen = nullptr;         ///< [batch]
+  frame_facts* weighed = nullptr;      ///< [batch] of weigh_frames()
   int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
   float* information = nullptr;        ///< [batch][information_terms]
   odometry_input* inputs = nullptr;    ///< [batch] staging memory, which a device reads
@@ -124,6 +132,8 @@ struct odometry_memory {
       carve(c, windowless, shape.numbers(), batch);
       carve(c, changes, shape.images * batch);
       chances = c.take<chance_counts>(b);
+      seen = c.take<seen_counts>(b);
+      weighed = c.take<frame_facts>(b);
       fixed = c.take<unsigned char>(numbers);
     });
     staging_memory_ = arena<staging>([&](carver& c) {
@@ -155,6 +165,7 @@ struct odometry_memory {
                          keyframe_out.held, keyframe_out.left_out, selected,
                          sources.left_out,  window.view_count,     window.fixed_count,
                          window.point_count};
+    fill_bytes(exec, seen, 0, b * sizeof *seen);
     fill_bytes(exec, changes.begun, 0, b * static_cast<std::size_t>(images_) * sizeof(int));
     for (void* const flags : all) { fill_bytes(exec, flags, 0, b * sizeof(int)); }
   }

@@ -7,6 +7,7 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
+#include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
@@ -21,20 +22,25 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+/// What pack_depths reads. Executor memory.
+struct depths_of_frames {
+  frame_view frame;
+  float const* depth;     ///< [batch][depth_cameras * capacity] metres
+  int const* rival;       ///< likewise, field::rival; null = no pairs are rectified
+  int depth_cameras = 1;  ///< the first cameras, whose keypoints may have a depth
+  float distant = 0;      ///< depth of distant points, metres
+};
+
 /// What pack_tracking reads. Executor memory, [batch] each.
 struct tracking_facts {
   int const* inliers;
-  float const* depth;        ///< [batch][depth_cameras * capacity] metres
-  int const* rival;          ///< likewise, field::rival; null = no pairs are rectified
   float const* information;  ///< [batch][information_terms]
   int const* local_count;
   int const* local_left_out;
-  int const* held;               ///< as in keyframe_result
-  int const* keyframe_left_out;  ///< likewise
-  int const* window_left_out;
   int const* map_points;
-  int depth_cameras = 1;                ///< the first cameras, whose keypoints may have a depth
-  float distant = 0;                    ///< depth of distant points, metres
+  seen_counts const* seen;
+  chance_counts const* chances;
+  frame_facts const* weighed;           ///< of weigh_frames()
   start_report const* start = nullptr;  ///< of one camera, or null
 };
 
@@ -77,71 +83,112 @@ struct pack_changes {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int b, image_changes_view const& changes,
-                                 int images, absent_images const& absent,
-                                 odometry_output* outputs) const {
-    outputs[b].light = least_contrast(changes, images, absent, b);
-    outputs[b].changes = count_changes(changes, images, absent, b);
+                                 int images, absent_images const& absent, seen_counts* out) const {
+    out[b].light = least_contrast(changes, images, absent, b);
+    out[b].changes = count_changes(changes, images, absent, b);
   }
 };
 
-/// Item: a camera. Keeps the number of a new keyframe's points for later frames.
+/// Item: a camera. Its keypoints, and which of them have a depth.
+struct pack_depths {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, depths_of_frames const& in,
+                                 seen_counts* to) const {
+    int all = 0;
+    four_sums n{};  // with a depth, distant, ambiguous
+    for (int c = 0; c < in.depth_cameras; ++c) {
+      int const count = *in.frame.camera(b, c).count;
+      std::ptrdiff_t const first =
+          (static_cast<std::ptrdiff_t>(b) * in.depth_cameras + c) * in.frame.capacity();
+      float const* const depth = in.depth + first;
+      for (int i = g.rank(); i < count; i += g.size()) {
+        n.of[0] += static_cast<int>(depth[i] > 0);
+        n.of[1] += static_cast<int>(depth[i] > in.distant);
+        if (in.rival != nullptr && depth[i] > 0) { n.of[2] += in.rival[first + i]; }
+      }
+      all += count;
+    }
+    n = g.reduce(n, sum_op{});
+    if (g.rank() != 0) { return; }
+    seen_counts& out = to[b];
+    out.keypoints = all;
+    out.with_depth = n.of[0];
+    out.distant = n.of[1];
+    out.ambiguous = n.of[2];
+  }
+};
+
+/// Item: a camera. The flag comes last, and all that the host reads with it is written here.
 struct pack_tracking {
   using scratch = no_scratch;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, frame_view const& frame,
-                                 odometry_state_view const& state, tracking_facts const& facts,
-                                 odometry_output* outputs) const {
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, odometry_state_view const& state,
+                                 tracking_facts const& facts, odometry_output* outputs) const {
     odometry_output& out = outputs[b];
     for (int i = g.rank(); i < information_terms; i += g.size()) {
       out.information[i] = facts.information[b * information_terms + i];
     }
-    int left = 0;
-    int with_depth = 0;
-    int distant = 0;
-    int ambiguous = 0;
-    for (int c = 0; c < facts.depth_cameras; ++c) {
-      int const count = *frame.camera(b, c).count;
-      std::ptrdiff_t const first =
-          (static_cast<std::ptrdiff_t>(b) * facts.depth_cameras + c) * frame.capacity();
-      float const* const depth = facts.depth + first;
-      for (int i = g.rank(); i < count; i += g.size()) {
-        with_depth += static_cast<int>(depth[i] > 0);
-        distant += static_cast<int>(depth[i] > facts.distant);
-        if (facts.rival != nullptr && depth[i] > 0) { ambiguous += facts.rival[first + i]; }
-      }
-      left += count;
-    }
-    with_depth = g.reduce(with_depth, sum_op{});
-    distant = g.reduce(distant, sum_op{});
-    ambiguous = g.reduce(ambiguous, sum_op{});
+    g.sync();
     if (g.rank() != 0) { return; }
     camera_track& t = state.tracks[b];
-    bool const inserted = state.order[b] != keyframe_order::none;
-    if (inserted) { t.reference_tracked = facts.held[b]; }
+    if (facts.weighed != nullptr && t.plan != search_plan::nothing) {
+      take_facts(t, facts, b, state.counts[b] != sightings::none);
+    }
     out.T_cw = state.T_cw[b];
     out.state = t.state;
     out.begins_map = t.begins;
     out.begins_first_map = state.order[b] == keyframe_order::begin_map && t.maps == 1 ? 1 : 0;
-    out.keyframe = inserted ? 1 : 0;
+    out.keyframe = state.order[b] != keyframe_order::none ? 1 : 0;
     out.gathered = state.gather[b];
     out.inliers = facts.inliers[b];
-    out.keypoints = left;
-    out.with_depth = with_depth;
-    out.distant = distant;
-    out.ambiguous = ambiguous;
     out.agreed = t.agreed;
+    out.seen = facts.seen[b];
     out.facts = t.facts;
     out.start = facts.start == nullptr ? start_report{} : facts.start[b];
     // Before its first map a camera that was reset searches its old one, for nothing.
     bool const searched = t.plan != search_plan::nothing;
     out.local_points = searched ? facts.local_count[b] : 0;
-    out.left_out = (searched ? facts.local_left_out[b] : 0) +
-                   (inserted ? facts.keyframe_left_out[b] : 0) +
-                   (state.gather[b] != 0 ? facts.window_left_out[b] : 0);
-    out.map_points = t.has_map() ? facts.map_points[b] : 0;
+    out.left_out = (searched ? facts.local_left_out[b] : 0) + t.left_out;
+    bool const goes_on = t.has_map() && state.order[b] != keyframe_order::begin_map;
+    out.map_points = goes_on ? facts.map_points[b] : 0;
     out.maps = t.maps;
     out.keyframes = t.keyframes;
+    set_flag(&out.complete);
+  }
+
+private:
+  /// What the matches say, of a judged frame. @param found whether it is tracked
+  FT_HOST_DEVICE static void take_facts(camera_track& t, tracking_facts const& in, int b,
+                                        bool found) {
+    frame_facts facts = in.weighed[b];
+    facts.fixed = t.facts.fixed;
+    facts.dragged = t.facts.dragged;
+    facts.held_before = t.facts.held_before;
+    facts.moving = t.facts.moving;
+    facts.evidence = static_cast<int>(in.chances[b].bits(in.inliers[b]) / evidence_one);
+    t.facts = facts;
+    t.moved = found && 2 * facts.flowing > in.inliers[b] ? 1 : 0;
+  }
+};
+
+/// Item: a camera. Its pose, and what later frames need to know of a new keyframe and of an
+/// adjustment.
+struct keep_map_counts {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, odometry_state_view const& state,
+                                 keyframe_result const& keyframe, int const* window_left_out,
+                                 pose* T_cw) const {
+    T_cw[b] = state.T_cw[b].template cast<float>();
+    camera_track& t = state.tracks[b];
+    bool const inserted = state.order[b] != keyframe_order::none;
+    if (inserted) { t.reference_tracked = keyframe.held[b]; }
+    t.new_left_out =
+        (inserted ? keyframe.left_out[b] : 0) + (state.gather[b] != 0 ? window_left_out[b] : 0);
   }
 };
 

@@ -283,8 +283,9 @@ private:
     settle_lost_frames(exec, stages.settings.rules, in, stages.own.state);
     stages.insert(exec, m.begins);
     keep(exec, stages, m.begins);
+    stages.keep_counts(exec);
     stages.pack_matches(exec, stages.outcome_of_local());
-    stages.pack_outputs(exec);
+    stages.pack_outputs(exec, nullptr);
   }
 
   vocabulary_view words_;

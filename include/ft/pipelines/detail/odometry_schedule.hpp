@@ -121,6 +121,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   s.list_local_map(line.then("search local map"));
   auto const branch = line.fork(s.result_branch());
   s.pack_keypoints(branch);
+  s.pack_depths(branch);
   s.count_chances(branch);
   s.assign_local_map(line.then("search local map"));
   s.optimize_local(line.then("pose local map"));
@@ -130,8 +131,9 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   }
   if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
   line.join(s.result_branch());  // count_chances reads points, which insert writes
-  s.judge(line.then("keyframe"));
-  s.report(line.fork(s.result_branch()));
+  s.judge(line.then("result"));
+  s.weigh(line.with("result"));
+  s.pack_outputs(line.then("result"));
   s.count_points(line.then("keyframe"));
   if constexpr (Stages::starts_from_motion) {
     s.insert_first(line.then("keyframe"));
@@ -142,9 +144,8 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   if (parts) { s.launch_parts(line.fork(s.part_branch()), &part::beside_window); }
   s.gather(line.then("keyframe"));
   if (parts) { s.launch_parts(line.fork(s.part_branch()), &part::beside_result); }
-  line.join(s.result_branch());
-  s.pack_matches(line.then("result"), s.outcome_of_local());
-  s.pack_outputs(line.with("result"));
+  s.keep_counts(line.then("keyframe"));
+  s.pack_matches(line.then("keyframe"), s.outcome_of_local());
   if (parts) { line.join(s.part_branch()); }
   line.end();
 }

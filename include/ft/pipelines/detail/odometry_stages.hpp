@@ -173,6 +173,14 @@ public:
     in.begins_maps = !recognizes_places;
     judge_frames(exec, settings.rules, in, own.state);
   }
+  /// Beside the judgement.
+  void weigh(Exec const& exec) const {
+    weigh_frames(exec, own.state.batch,
+                 weighed_frames<typename base::searched_rig>{
+                     this->rig, memory.observations, memory.poses, memory.last.T_cw,
+                     this->geometry(), pose_limits::of(this->pose_settings).disparity_root},
+                 own.state.tracks, own.weighed);
+  }
   /// Beside the search in the local map.
   void count_chances(Exec const& exec) const {
     count_chances_of_frames(exec, memory.frame, this->local_input(), this->params.local_points,
@@ -246,32 +254,39 @@ public:
     image_pyramid_view const images = this->extractor.pyramid();
     ft::watch_images(exec, images, own.changes);
     for_each_item<per_thread>(exec, own.state.batch, pack_changes{}, own.changes, images_of_rig(),
-                              images.absent, own.outputs);
+                              images.absent, own.seen);
   }
   /// Beside the search from the last frame, after watch_images().
   void mark_fixed(Exec const& exec) const {
     mark_fixed_keypoints(exec, {memory.frame, this->extractor.keypoints(), this->geometry(),
                                 own.changes, fixed_disparity_, own.fixed});
   }
-  /// Beside what follows a frame's judgement.
-  void report(Exec const& exec) const {
-    report_frames(exec,
-                  reported_frames<typename base::searched_rig>{
-                      this->rig, memory.observations, own.chances, memory.observations.inliers,
-                      this->geometry(), pose_limits::of(this->pose_settings).disparity_root},
-                  own.state);
+  /// Beside the search in the local map.
+  void pack_depths(Exec const& exec) const {
+    depths_of_frames in{memory.frame, this->matcher.depth(), rival_of(this->matcher),
+                        memory.result.depth_cameras};
+    in.distant = (this->rig.baseline_length() * distant_baselines).value;
+    for_each_item<per_block<256>>(exec, own.state.batch, detail::pack_depths{}, in, own.seen);
   }
-  void pack_outputs(Exec const& exec) const {
-    tracking_facts facts{memory.observations.inliers, this->matcher.depth(),
-                         rival_of(this->matcher),     own.information,
-                         memory.local.device.count,   own.local_left_out,
-                         own.keyframe_out.held,       own.keyframe_out.left_out,
-                         own.sources.left_out,        own.map.records.alive,
-                         memory.result.depth_cameras};
-    facts.distant = (this->rig.baseline_length() * distant_baselines).value;
+  /// What the host waits for. The frame's keyframe has not entered the map yet.
+  void pack_outputs(Exec const& exec) const { pack_outputs(exec, own.weighed); }
+  /// @param weighed null = camera_track::facts are complete
+  void pack_outputs(Exec const& exec, frame_facts const* weighed) const {
+    tracking_facts facts{memory.observations.inliers,
+                         own.information,
+                         memory.local.device.count,
+                         own.local_left_out,
+                         own.map.records.alive,
+                         own.seen,
+                         own.chances,
+                         weighed};
     if constexpr (starts_from_motion) { facts.start = beginning.begins().report; }
-    for_each_item<per_block<256>>(exec, own.state.batch, pack_tracking{}, memory.frame, own.state,
-                                  facts, own.outputs);
+    for_each_item<per_warp>(exec, own.state.batch, pack_tracking{}, own.state, facts, own.outputs);
+  }
+  /// After the keyframe and the window; pack_matches() follows.
+  void keep_counts(Exec const& exec) const {
+    for_each_item<per_thread>(exec, own.state.batch, keep_map_counts{}, own.state, own.keyframe_out,
+                              own.sources.left_out, memory.poses);
   }
 
   // ---- state

@@ -42,6 +42,8 @@ public:
   }
 
   Work& work() { return work_; }
+  /// The next run begins after the work before a mark of the main line. Asynchronous.
+  void begin_after(work_mark<Exec> const&) {}
   /// Starts the next run, whose number is returned. Asynchronous.
   int begin() {
     int run = 0;
@@ -110,6 +112,7 @@ public:
   ~work_beside() { static_cast<void>(cudaStreamSynchronize(stream_.get())); }
 
   Work& work() { return work_; }
+  void begin_after(work_mark<cuda_exec> const& mark) { mark.make_wait(exec_); }
   int begin() {
     int const run = begun_++;
     work_.enqueue(exec_, run);

@@ -90,7 +90,8 @@ std::int64_t nanoseconds_of_step(motion_graph<Motion> const& graph,
   std::int64_t const factored = tiles * (tiles + 1) / 2;
   std::int64_t const updated = (tiles - 1) * tiles * (tiles + 1) / 6;
   std::int64_t const sparse = 1500 * static_cast<std::int64_t>(graph.edges.size()) +
-                              90 * order.sparse_blocks() + 110 * products;
+                              90 * static_cast<std::int64_t>(order.sparse_blocks()) +
+                              110 * products;
   return sparse * (freedom * freedom * freedom) / 216 + 28000 * factored + 25000 * updated;
 }
 

@@ -42,6 +42,24 @@ struct sighting_error {
   }
 };
 
+/// The same of a rectified pair: its third number is that of the column in the right image.
+struct pair_error {
+  sighting_error left;
+  sighting_error right;  ///< its `pixel` has this column
+  double baseline;
+
+  template <typename T>
+  bool operator()(T const* view, T const* point, T* error) const {
+    T moved[6];
+    std::copy(view, view + 6, moved);
+    moved[3] = moved[3] - baseline;
+    T other[2];
+    if (!left(view, point, error) || !right(moved, point, other)) { return false; }
+    error[2] = other[0];
+    return true;
+  }
+};
+
 struct bundle_solution {
   double cost;  ///< as ft counts it: twice Ceres'
   int steps;
@@ -70,12 +88,20 @@ inline bundle_solution solve_by_ceres(ft::bundle<ft::radtan4<double>>& map,
   ceres::Problem problem;
   for (std::size_t o = 0; o < map.pixel.size(); ++o) {
     auto const v = static_cast<std::size_t>(map.observing_view[o]);
-    auto const camera = map.camera_of_view.empty() ? 0 : map.camera_of_view[v];
-    sighting_error* const error =
-        new sighting_error{map.cameras[static_cast<std::size_t>(camera)], map.pixel[o],
-                           1 / (map.sigma.empty() ? 1 : map.sigma[o])};
-    problem.AddResidualBlock(new ceres::AutoDiffCostFunction<sighting_error, 2, 6, 3>(error),
-                             choice.huber > 0 ? new ceres::HuberLoss(choice.huber) : nullptr,
+    auto const camera =
+        static_cast<std::size_t>(map.camera_of_view.empty() ? 0 : map.camera_of_view[v]);
+    sighting_error const error{map.cameras[camera], map.pixel[o],
+                               1 / (map.sigma.empty() ? 1 : map.sigma[o])};
+    ceres::CostFunction* cost = nullptr;
+    if (ft::detail::has_right(map, o)) {
+      sighting_error right = error;
+      right.pixel.x = map.right_x[o];
+      cost = new ceres::AutoDiffCostFunction<pair_error, 3, 6, 3>(
+          new pair_error{error, right, map.baseline[camera]});
+    } else {
+      cost = new ceres::AutoDiffCostFunction<sighting_error, 2, 6, 3>(new sighting_error(error));
+    }
+    problem.AddResidualBlock(cost, choice.huber > 0 ? new ceres::HuberLoss(choice.huber) : nullptr,
                              views[v].data(),
                              &map.position[static_cast<std::size_t>(map.observed_point[o])].x);
   }

@@ -56,4 +56,16 @@ TEST(AdjustMapCeres, MapsWithOneFixedViewAgree) {
   }
 }
 
+TEST(AdjustMapCeres, MapsOfRectifiedPairsAgree) {
+  for (unsigned seed = 1; seed <= 3; ++seed) {
+    test::bundle_shape shape{30, 400};
+    shape.baseline = 0.2;
+    auto map = test::make_bundle(shape, lenses(), seed).map;
+    map.fixed.clear();
+    compare(map, 0, "pairs");
+    shape.outliers = 0.03;
+    compare(test::make_bundle(shape, lenses(), seed).map, 2.5, "pairs with outliers");
+  }
+}
+
 }  // namespace adjust_map_ceres_test

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "ft/core/execution.hpp"
+#include "ft/pipelines/detail/loop_correction.hpp"
 #include "tests/support/example_rigs.hpp"
 #include "tests/support/random.hpp"
 
@@ -74,7 +75,7 @@ TEST(LoopPath, ALoopSpreadsTheDriftOverTheLap) {
   double const before = error(path, n - 1, n);
   ASSERT_GT(before, 0.01);
   path.loops.push_back(true_loop(0, n - 1, n));
-  path.optimize(ft::host_exec());
+  ft::detail::optimize(ft::host_exec(), path);
   EXPECT_LT(error(path, n - 1, n), before / 10);
   EXPECT_EQ(error(path, 0, n), 0);
   // What the odometry tracked stays, and the correction takes the newest keyframe to its place.
@@ -115,7 +116,7 @@ TEST(LoopPath, ALoopSpreadsTheDriftOfTheScaleOverTheLap) {
   ASSERT_GT(before, 0.3);
   EXPECT_TRUE(path.fits(true_scaled_loop(0, n - 1, n, share), {}, 0));
   path.loops.push_back(true_scaled_loop(0, n - 1, n, share));
-  path.optimize(ft::host_exec());
+  ft::detail::optimize(ft::host_exec(), path);
   double worst = 0;
   for (int i = 0; i < n; ++i) {
     worst = std::fmax(worst, error(path, i, n));
@@ -156,7 +157,7 @@ TEST(LoopPath, KnownGravityKeepsEachKeyframesAnglesAgainstIt) {
     loop_path const before = path;
     path.loops.push_back(true_loop(0, n - 1, n));
     if (known) { path.gravity = {0, 9.8, 0}; }
-    path.optimize(ft::host_exec());
+    ft::detail::optimize(ft::host_exec(), path);
     double tilt = 0;
     for (int i = 0; i < n; ++i) {
       for (int column = 0; column < 3; ++column) {  // what the camera sees of the world's y axis
@@ -278,7 +279,7 @@ TEST(LoopPath, TwoKeyframesThatAgreeJoinTwoMaps) {
   EXPECT_EQ(path.join(off), 0);
   EXPECT_GT(error(path, n - 1, n), 0.5);
   EXPECT_EQ(path.join(true_loop(1, n - 1, n)), 2);
-  path.optimize(ft::host_exec());
+  ft::detail::optimize(ft::host_exec(), path);
   for (int i = 0; i < n; ++i) {
     EXPECT_EQ(path.at(i).part, 1) << i;
     EXPECT_LT(error(path, i, n), 1e-6) << i;
@@ -313,7 +314,7 @@ TEST(LoopPath, MapsOfOneCameraAreJoinedWhateverTheirUnits) {
   EXPECT_EQ(path.join(loop(1, n - 3, unit)), 0);
   EXPECT_EQ(path.join(loop(0, n - 2, 1.1 * unit)), 0) << "another scale";
   EXPECT_EQ(path.join(loop(1, n - 1, unit)), 2);
-  path.optimize(ft::host_exec());
+  ft::detail::optimize(ft::host_exec(), path);
   for (int i = 0; i < n; ++i) {
     EXPECT_EQ(path.at(i).part, 1) << i;
     EXPECT_LT(error(path, i, n), 1e-6) << i;
@@ -327,7 +328,7 @@ TEST(LoopPath, MapsThatNothingJoinsKeepTheirPlaces) {
   loop_path path = broken_lap(n);
   double const before = error(path, n - 1, n);
   path.loops.push_back(true_loop(0, n / 2 - 1, n));
-  path.optimize(ft::host_exec());
+  ft::detail::optimize(ft::host_exec(), path);
   EXPECT_NEAR(error(path, n - 1, n), before, 1e-9);
 }
 
@@ -352,7 +353,7 @@ TEST(LoopPath, ThinnedOutItsLoopsStayWhereTheyWere) {
     auto const d = T.t - path.at(l.to).T_odom_camera.t;
     EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-9);
   }
-  path.optimize(ft::host_exec());
+  ft::detail::optimize(ft::host_exec(), path);
   EXPECT_LT(std::abs(path.at(20).T_world_camera.t.x - path.at(20).T_odom_camera.t.x), 1e-6);
 }
 
@@ -370,7 +371,7 @@ double misfit(loop_path const& path) {
 /// A path whose odometry drifts is right in the world; thinned out, its loops are as right as
 /// before.
 void expect_no_drift_when_thinned(loop_path path) {
-  path.optimize(ft::host_exec());
+  ft::detail::optimize(ft::host_exec(), path);
   double const before = misfit(path);
   for (int round = 0; round < 5; ++round) {
     path.thin([](int) {});

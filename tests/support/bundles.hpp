@@ -22,6 +22,7 @@ struct bundle_shape {
   double outliers = 0;        ///< share of observations that are off by up to 60 pixels
   double view_error = 0.01;   ///< of the start, rad, and in metres twice that
   double point_error = 0.05;  ///< of the start, m
+  double baseline = 0;        ///< of all cameras, m; then 3 of 4 observations have a right image
 };
 
 template <typename Camera>
@@ -29,6 +30,19 @@ struct generated_bundle {
   ft::bundle<Camera> map;  ///< with the errors of the start
   ft::bundle<Camera> truth;
 };
+
+/// Adds the right column of the last observation, or that there is none.
+template <typename Camera>
+void see_right(bundle_shape const& shape, double sigma, ft::bundle<Camera>& map,
+               random_motions& any) {
+  auto const v = static_cast<std::size_t>(map.observing_view.back());
+  auto const& camera = map.cameras[static_cast<std::size_t>(map.camera_of_view[v])];
+  auto p = map.T_cw[v] * map.position.back();
+  p.x -= shape.baseline;
+  double const x = camera.template cast<double>().project(p).pixel.x;
+  bool const seen = any.random() % 4 != 0;
+  map.right_x.push_back(seen ? x + shape.noise * sigma * any.number() : std::nan(""));
+}
 
 /// A camera on a circle that looks outward at points 2 to 6 m away: a part of the circle, or laps.
 /// A point is seen by views that are near each other on the circle.
@@ -40,6 +54,7 @@ generated_bundle<Camera> make_bundle(bundle_shape const& shape, std::vector<Came
   double const full = 6.283185307179586;
   ft::bundle<Camera> map;
   map.cameras = cameras;
+  if (shape.baseline > 0) { map.baseline.assign(cameras.size(), shape.baseline); }
   std::vector<double> heading;
   double const span = full * std::min(1.0, shape.views / 100.0);  // of the circle
   int const laps = 1 + shape.views / 100;
@@ -79,6 +94,7 @@ generated_bundle<Camera> make_bundle(bundle_shape const& shape, std::vector<Came
       map.pixel.push_back({image.pixel.x + shape.noise * sigma * any.number() + off * uniform(),
                            image.pixel.y + shape.noise * sigma * any.number() + off * uniform()});
       map.sigma.push_back(sigma);
+      if (shape.baseline > 0) { see_right(shape, sigma, map, any); }
     }
   }
   map.fixed.assign(map.T_cw.size(), 0);

@@ -2,6 +2,7 @@
 /// @file Bundles: views, points, and where the views see the points.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <vector>
 
@@ -17,6 +18,9 @@ inline namespace FT_ABI {
 template <typename Camera>
 struct bundle {
   std::vector<Camera> cameras;
+  /// [cameras] of rectified pairs: metres along the camera's x axis to a right camera that is like
+  /// it, 0 to 1e6; 0: it has none. Empty: none has.
+  std::vector<double> baseline;
 
   // [views]
   std::vector<rigid<double>> T_cw;   ///< metres
@@ -30,6 +34,9 @@ struct bundle {
   std::vector<int> observing_view;
   std::vector<int> observed_point;
   std::vector<vec2<double>> pixel;
+  /// Column in the right image, pixels; NaN: not seen there. Empty: none is. It gives the map its
+  /// scale, and counts as a third coordinate of the observation.
+  std::vector<double> right_x;
   std::vector<double> sigma;  ///< standard deviation of a coordinate, pixels; empty: 1
 };
 
@@ -44,8 +51,13 @@ void check_views(bundle<Camera> const& map) {
           "`fixed` of a bundle has as many entries as there are views, or none");
   require(views == 0 || !map.cameras.empty(), "a bundle with views has no camera");
   int const cameras = static_cast<int>(map.cameras.size());
+  require(map.baseline.empty() || map.baseline.size() == map.cameras.size(),
+          "`baseline` of a bundle has as many entries as there are cameras, or none");
   for (std::size_t i = 0; i < map.cameras.size(); ++i) {
-    check_named("camera", i, [&] { map.cameras[i].check(); });
+    check_named("camera", i, [&] {
+      map.cameras[i].check();
+      if (!map.baseline.empty()) { require_range("baseline", map.baseline[i], 0.0, 1e6); }
+    });
   }
   for (std::size_t i = 0; i < views; ++i) {
     check_named("view", i, [&] {
@@ -59,6 +71,23 @@ void check_views(bundle<Camera> const& map) {
   }
 }
 
+/// Whether an observation has a right image.
+template <typename Camera>
+bool has_right(bundle<Camera> const& map, std::size_t observation) {
+  return !map.right_x.empty() && !std::isnan(map.right_x[observation]);
+}
+
+/// @param observation whose view is in range
+template <typename Camera>
+void check_right(bundle<Camera> const& map, std::size_t observation) {
+  if (!has_right(map, observation)) { return; }
+  require_finite("right_x", map.right_x[observation]);
+  auto const view = static_cast<std::size_t>(map.observing_view[observation]);
+  int const camera = map.camera_of_view.empty() ? 0 : map.camera_of_view[view];
+  require(!map.baseline.empty() && map.baseline[static_cast<std::size_t>(camera)] > 0,
+          "`right_x` is there, but the view's camera has no baseline");
+}
+
 template <typename Camera>
 void check_observations(bundle<Camera> const& map) {
   std::size_t const count = map.observing_view.size();
@@ -66,6 +95,8 @@ void check_observations(bundle<Camera> const& map) {
           "arrays of a bundle's observations differ in length");
   require(map.sigma.empty() || map.sigma.size() == count,
           "`sigma` of a bundle has as many entries as there are observations, or none");
+  require(map.right_x.empty() || map.right_x.size() == count,
+          "`right_x` of a bundle has as many entries as there are observations, or none");
   int const views = static_cast<int>(map.T_cw.size());
   int const points = static_cast<int>(map.position.size());
   for (std::size_t i = 0; i < count; ++i) {
@@ -75,11 +106,12 @@ void check_observations(bundle<Camera> const& map) {
       require_finite("pixel", map.pixel[i].x);
       require_finite("pixel", map.pixel[i].y);
       if (!map.sigma.empty()) { require_range("sigma", map.sigma[i], 1e-6, 1e6); }
+      check_right(map, i);
     });
   }
 }
 
-/// @throws bad_argument for a point that is not seen from two views
+/// @throws bad_argument for a point that is not seen in two images
 template <typename Camera>
 void check_tracks(bundle<Camera> const& map) {
   constexpr int unseen = -1;
@@ -88,7 +120,9 @@ void check_tracks(bundle<Camera> const& map) {
   for (std::size_t i = 0; i < map.observing_view.size(); ++i) {
     int& by = seen[static_cast<std::size_t>(map.observed_point[i])];
     int const view = map.observing_view[i];
-    if (by == unseen) {
+    if (has_right(map, i)) {
+      by = seen_twice;
+    } else if (by == unseen) {
       by = view;
     } else if (by != view) {
       by = seen_twice;
@@ -96,7 +130,8 @@ void check_tracks(bundle<Camera> const& map) {
   }
   for (std::size_t p = 0; p < seen.size(); ++p) {
     check_named("point", p, [&] {
-      require(seen[p] == seen_twice, "a point is seen from less than two views");
+      require(seen[p] == seen_twice,
+              "a point is seen in no right image, and from less than two views");
     });
   }
 }

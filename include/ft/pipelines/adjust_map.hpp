@@ -61,13 +61,13 @@ inline void check(map_params const& p) {
 }
 
 /// Bundle adjustment: moves the views of a map that are not fixed, and its points, so that the cost
-/// of its observations is as low as near the start. Cameras stay as they are. By Levenberg's and
-/// Marquardt's method, points eliminated, the views' system by preconditioned conjugate gradients.
-/// Equal bits on every executor. Allocates, and returns when all is done. Memory: linear in views,
-/// points and observations, about 150 bytes an observation.
+/// of its observations, with their right images, is as low as near the start. Cameras stay as they
+/// are. By Levenberg's and Marquardt's method, points eliminated, the views' system by
+/// preconditioned conjugate gradients. Equal bits on every executor. Allocates, and returns when
+/// all is done. Memory: linear in views, points and observations, about 150 bytes an observation.
 ///
-/// Fixed views give the frame and, two of them, the scale. With one, damping keeps the scale near
-/// the start.
+/// Fixed views give the frame and, two of them or right images, the scale. With one fixed view and
+/// no right image damping keeps the scale near the start.
 /// @param map its views and points get the result
 /// @throws bad_argument for an invalid map; std::bad_alloc, cuda_error
 template <typename Exec, typename Camera>

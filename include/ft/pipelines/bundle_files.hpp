@@ -156,6 +156,7 @@ namespace detail {
 /// @throws bad_argument for what BAL's format cannot hold
 inline void check_bal(bundle<radtan4<double>> const& map) {
   check(map);
+  require(map.right_x.empty(), "BAL's format has no right images");
   for (std::size_t i = 0; i < map.cameras.size(); ++i) {
     check_named("camera", i, [&] {
       radtan4<double> const& c = map.cameras[i];
@@ -170,7 +171,8 @@ inline void check_bal(bundle<radtan4<double>> const& map) {
 
 /// Writes a bundle, numbers with as many digits as they have. Fixed views and standard deviations
 /// have no place in the format.
-/// @throws bad_argument for an invalid bundle, and for a camera with two focal lengths, a principal
+/// @throws bad_argument for an invalid bundle, one with right_x, and for a camera with two focal
+/// lengths, a principal
 ///   point other than 0, or tangential distortion; error if it cannot be written
 inline void write_bal(std::ostream& out, bundle<radtan4<double>> const& map) {
   detail::check_bal(map);

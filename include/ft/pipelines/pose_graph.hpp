@@ -49,6 +49,8 @@ struct pose_graph_report {
   double last_chi2 = 0;
   int steps = 0;           ///< that were tried, refused ones included
   bool converged = false;  ///< false: there were not enough steps, or no step lowers the cost
+  /// Of the step that would be next: first_damping of a call that goes on from here.
+  double next_damping = 0;
   /// Whether the start was made as asked; false: its equations have no solution, and the poses that
   /// were given were taken.
   bool started = true;
@@ -134,6 +136,7 @@ pose_graph_report optimize_pose_graph(Exec const& exec, motion_graph<Motion>& gr
       detail::descend(solver, best, {params.steps, params.enough, params.first_damping});
   report.steps = found.steps;
   report.converged = found.converged;
+  report.next_damping = found.damping;
   report.last_cost = found.best.cost;
   report.last_chi2 = found.best.chi2;
   solver.download(graph.T_world_pose);

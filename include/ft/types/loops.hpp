@@ -53,9 +53,11 @@ struct loop_params {
 /// One camera alone has a unit of length that drifts: its poses are optimised with a scale each,
 /// which the depths that both keyframes know of their common points tell. With an IMU its keyframes
 /// are kept from when that has told the scale. That runs beside tracking, on a thread, and on a GPU
-/// on a stream of its own; the correction enters a number of frames later that depends on the
-/// number of keyframes alone, and a frame that comes sooner waits. Where a camera is looked for
-/// that was not found in a loaded map, that is one frame. The odometry itself is not changed: see
+/// on a stream of its own. A search takes a number of frames that depends on the number of
+/// keyframes alone, one where a camera is looked for that was not found in a loaded map. What it
+/// found enters after as many more as the counts of keyframes and loops say that the optimisation
+/// takes, which goes on in slices where it has not ended: each of them changes
+/// tracking::T_world_odom. A frame that comes sooner waits. The odometry itself is not changed: see
 /// tracking::T_odom_camera and T_world_odom. An exception of a search, such as bad_alloc, is thrown
 /// by the next track(), of which nothing has changed then.
 ///

@@ -127,7 +127,7 @@ struct tracking {
   /// With ft::loops and one camera without an IMU, whose unit of length drifts: how many units of
   /// the world one of the odometry's is now. T_odom_camera.t is multiplied by it first. Else 1.
   double odom_scale = 1;
-  int loops_closed = 0;  ///< whose correction enters with this frame
+  int loops_closed = 0;  ///< whose correction enters with this frame; later ones may follow it
   tracking_state state = tracking_state::initialising;
   /// Lengths are metres. False of a monocular_rig, whose unit it says, until its IMU tells the
   /// scale of the map: in a frame with which an adjustment ends, at whose start all that is known

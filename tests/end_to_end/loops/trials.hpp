@@ -96,7 +96,7 @@ ft::detail::saved_loops<ft::host_exec> loops_of(Odometry const& odometry) {
   std::istringstream from(bytes.substr(at));
   ft::loop_params const& p = odometry.params().loops;
   // Rows beyond the limit, for keyframes during a search.
-  int const most = p.keyframes + std::max(64, 2 * (4 + p.keyframes / 64));
+  int const most = 2 * p.keyframes + 128;
   ft::owner<ft::loop_archive_view, ft::memory_space::host> like(
       [&](ft::carver& c, ft::loop_archive_view& v) { carve(c, v, most, p.points); });
   return ft::detail::read_loops<ft::host_exec>(like.view(), {most, 1 << 20, 1, false}, from);

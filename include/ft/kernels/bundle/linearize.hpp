@@ -65,11 +65,20 @@ struct measure_view {
     int const begin = A.view_begin[item];
     ordered_sum(g, s, A.view_begin[item + 1] - begin, [&](int k, sum_terms<3, double>& acc) {
       int const o = begin + k;
-      auto const image = camera.project(T * position[A.point[o]].template cast<real64>());
+      strict_vec3d const p = T * position[A.point[o]].template cast<real64>();
+      auto const image = camera.project(p);
       real64 const x = image.pixel.x - real64(A.pixel[o].x);
       real64 const y = image.pixel.y - real64(A.pixel[o].y);
-      real64 const chi2 = real64(A.weight[o]) * (x * x + y * y);
-      if (image.valid && scalar::is_finite(chi2)) {
+      real64 squared = x * x + y * y;
+      bool valid = image.valid;
+      if (has_right(A, o)) {
+        auto const right = camera.project(from_right(A, item, p));
+        real64 const r = right.pixel.x - real64(A.right_x[o]);
+        squared += r * r;
+        valid = valid && right.valid;
+      }
+      real64 const chi2 = real64(A.weight[o]) * squared;
+      if (valid && scalar::is_finite(chi2)) {
         acc.of[0] += rule.cost(chi2).value;
         acc.of[1] += chi2.value;
       } else {
@@ -100,7 +109,7 @@ struct linearize_view {
     int const begin = A.view_begin[item];
     ordered_sum(g, s, A.view_begin[item + 1] - begin, [&](int k, sum_terms<12, double>& acc) {
       strict_vec3d const X = position[A.point[begin + k]].template cast<real64>();
-      add(camera, T, X, X - centre, A, begin + k, acc);
+      add(camera, T, X, X - centre, A, item, begin + k, acc);
     });
     if (g.rank() != 0) { return; }
     A.centre[item] = centre.template cast<double>();
@@ -113,17 +122,54 @@ struct linearize_view {
   }
 
 private:
+  /// Of an observation's column in the right image, with its derivative by the point's position.
+  struct right_error {
+    bool there;
+    bool valid = false;
+    real64 error = 0.0;
+    strict_vec3d slope{0.0, 0.0, 0.0};
+
+    FT_HOST_DEVICE right_error(Camera const& camera, rigid<real64> const& T,
+                               strict_vec3d const& in_view, bundle_system_view const& A, int view,
+                               int o)
+        : there(has_right(A, o)) {
+      if (!there) { return; }
+      auto const at = camera.project_with_jacobian(from_right(A, view, in_view));
+      auto const& J = at.jacobian.m;
+      valid = at.value.valid;
+      error = at.value.pixel.x - real64(A.right_x[o]);
+      slope = row_times({J[0], J[1], J[2]}, T.R);
+    }
+    FT_HOST_DEVICE void add(real64 w, symmetric_3<real64>& C, strict_vec3d& f) const {
+      strict_vec3d const& c = slope;
+      strict_vec3d const r = scaled(c, w);
+      C = {C.xx + r.x * c.x, C.xy + r.x * c.y, C.xz + r.x * c.z,
+           C.yy + r.y * c.y, C.yz + r.y * c.z, C.zz + r.z * c.z};
+      f = f + scaled(r, error);
+    }
+  };
+
   FT_HOST_DEVICE void add(Camera const& camera, rigid<real64> const& T, strict_vec3d const& X,
-                          strict_vec3d const& d, bundle_system_view const& A, int o,
+                          strict_vec3d const& d, bundle_system_view const& A, int view, int o,
                           sum_terms<12, double>& acc) const {
-    auto const at = camera.project_with_jacobian(T * X);
+    strict_vec3d const in_view = T * X;
+    auto const at = camera.project_with_jacobian(in_view);
     real64 const ex = at.value.pixel.x - real64(A.pixel[o].x);
     real64 const ey = at.value.pixel.y - real64(A.pixel[o].y);
     auto const& J = at.jacobian.m;
     strict_vec3d const a = row_times({J[0], J[1], J[2]}, T.R);
     strict_vec3d const b = row_times({J[3], J[4], J[5]}, T.R);
-    real64 const chi2 = real64(A.weight[o]) * (ex * ex + ey * ey);
-    bool const seen = at.value.valid && scalar::is_finite(chi2 + dot(a, a) + dot(b, b));
+    real64 squared = ex * ex + ey * ey;
+    real64 bound = dot(a, a) + dot(b, b);
+    bool valid = at.value.valid;
+    right_error const right(camera, T, in_view, A, view, o);
+    if (right.there) {
+      squared += right.error * right.error;
+      bound += dot(right.slope, right.slope);
+      valid = valid && right.valid;
+    }
+    real64 const chi2 = real64(A.weight[o]) * squared;
+    bool const seen = valid && scalar::is_finite(chi2 + bound);
     real64 const zero = 0.0;
     symmetric_3<real64> C{zero, zero, zero, zero, zero, zero};
     strict_vec3d f{zero, zero, zero};
@@ -134,11 +180,12 @@ private:
       C = {p.x * a.x + q.x * b.x, p.x * a.y + q.x * b.y, p.x * a.z + q.x * b.z,
            p.y * a.y + q.y * b.y, p.y * a.z + q.y * b.z, p.z * a.z + q.z * b.z};
       f = scaled(p, ex) + scaled(q, ey);
-      rule.flatten(chi2, ex * ex + ey * ey, w, f, C);
+      if (right.there) { right.add(w, C, f); }
+      rule.flatten(chi2, squared, w, f, C);
     }
-    double* const c = entry<6>(A.curvature, o);
-    store_3(c, {C.xx, C.xy, C.xz});
-    store_3(c + 3, {C.yy, C.yz, C.zz});
+    double* const curvature = entry<6>(A.curvature, o);
+    store_3(curvature, {C.xx, C.xy, C.xz});
+    store_3(curvature + 3, {C.yy, C.yz, C.zz});
     store_3(entry<3>(A.gradient, o), f);
     acc.of[0] += turned(C.yy, C.zz, C.yz, d.z, d.y).value;
     acc.of[1] += turned(C.zz, C.xx, C.xz, d.x, d.z).value;

@@ -96,7 +96,11 @@ private:
       double const* const C = entry<6>(A.curvature, o);
       bool const seen = C[0] + C[3] + C[5] > 0;
       Camera const camera = cameras[A.camera[v]].template cast<real64>();
-      lost = seen && !camera.project(T_cw[v].cast<real64>() * X).valid;
+      strict_vec3d const in_view = T_cw[v].cast<real64>() * X;
+      lost = seen && !camera.project(in_view).valid;
+      if (seen && !lost && has_right(A, o)) {
+        lost = !camera.project(from_right(A, v, in_view)).valid;
+      }
     }
     return lost;
   }

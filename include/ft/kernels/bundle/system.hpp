@@ -51,6 +51,8 @@ struct bundle_system_view {
   int const* sighting = nullptr;     ///< [observations] a point's observations, ascending
   vec2<double>* pixel = nullptr;     ///< [observations]
   double* weight = nullptr;          ///< [observations] 1 / sigma^2
+  double* baseline = nullptr;        ///< [cameras] of rectified pairs, metres
+  double* right_x = nullptr;  ///< [observations] NaN: none; null where no observation has one
 
   double* curvature = nullptr;      ///< [observations][6] A, upper triangle by rows
   double* gradient = nullptr;       ///< [observations][3] f
@@ -137,6 +139,16 @@ struct point_solver {
     return {(h.x - l10 * y - l20 * z) * i0, y, z};
   }
 };
+
+/// Whether an observation has a right image.
+FT_HOST_DEVICE inline bool has_right(bundle_system_view const& A, int o) {
+  return A.right_x != nullptr && scalar::is_finite(A.right_x[o]);
+}
+/// A point in the frame of a view, seen from the view's right camera.
+FT_HOST_DEVICE inline strict_vec3d from_right(bundle_system_view const& A, int view,
+                                              strict_vec3d const& p) {
+  return {p.x - real64(A.baseline[A.camera[view]]), p.y, p.z};
+}
 
 /// G x: how a point at d from a view's centre moves, seen from the view, that turns and moves by x.
 FT_HOST_DEVICE inline strict_vec3d seen_motion(double const* x, strict_vec3d const& d) {

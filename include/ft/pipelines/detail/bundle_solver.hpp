@@ -155,6 +155,8 @@ private:
       to = c.take<int>(from.size());
     });
     c.place({A.observations}, A.pixel, A.weight);
+    if (!map.right_x.empty()) { c.place({A.observations}, A.right_x); }
+    c.place({map.baseline.size()}, A.baseline);
     c.place({A.observations, 6}, A.curvature);
     c.place({A.observations, 3}, A.gradient);
     c.place({A.views}, A.centre);
@@ -192,13 +194,17 @@ private:
     });
     std::vector<vec2<double>> pixel;
     std::vector<double> weight;
+    std::vector<double> right_x;
     for (std::size_t const o : order.given) {
+      if (!map.right_x.empty()) { right_x.push_back(map.right_x[o]); }
       pixel.push_back(map.pixel[o]);
       double const sigma = map.sigma.empty() ? 1 : map.sigma[o];
       weight.push_back(1 / (sigma * sigma));
     }
     copy(exec_, A.pixel, pixel.data(), pixel.size());
     copy(exec_, A.weight, weight.data(), weight.size());
+    copy(exec_, A.right_x, right_x.data(), right_x.size());
+    copy(exec_, A.baseline, map.baseline.data(), map.baseline.size());
     copy(exec_, m.cameras, map.cameras.data(), map.cameras.size());
     // Both: views that stay are not written.
     for (auto* const T : m.T_cw) { copy(exec_, T, map.T_cw.data(), map.T_cw.size()); }

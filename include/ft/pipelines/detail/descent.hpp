@@ -40,6 +40,7 @@ struct descent {
   int steps = 0;    ///< that were tried, refused ones included
   int refused = 0;  ///< of them
   bool converged = false;
+  double damping = 0;  ///< of the step that would be next
 };
 
 /// Lowers the cost of a solver's estimate. Ends also where the cost is the rounding of its terms: a
@@ -77,6 +78,7 @@ descent<Verdict> descend(Solver& solver, Verdict const& best, descent_limits con
     }
     linear = !better;
   }
+  d.damping = damping.value;
   return d;
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The path of a camera by its keyframes, and the loops that correct it.
+/// @file The path of a camera by its keyframes, and its loops.
 #pragma once
 
 #include <algorithm>
@@ -9,9 +9,7 @@
 #include <vector>
 
 #include "ft/containers/loop_archive.hpp"
-#include "ft/containers/pose_graph.hpp"
 #include "ft/core/config.hpp"
-#include "ft/pipelines/pose_graph.hpp"
 #include "ft/types/loops.hpp"
 #include "ft/types/poses.hpp"
 
@@ -79,6 +77,9 @@ struct loop_path {
   std::vector<path_loop> loops;
   std::vector<path_loop> joints;  ///< to other parts, that wait for another one that agrees
   vec3<double> gravity{0, 0, 0};  ///< in the world, of any length; 0 = not known
+  /// Of the next step of an optimisation that goes on, as pose_graph_params::first_damping; 0 = it
+  /// has ended.
+  double damping = 0;
 
   /// @param most keyframes @param found loops to a keyframe, at most
   void reserve(int most, int found) {
@@ -94,6 +95,7 @@ struct loop_path {
     loops.clear();
     joints.clear();
     gravity = {0, 0, 0};
+    damping = 0;
   }
   int size() const { return static_cast<int>(keyframes.size()); }
   int most_loops() const { return static_cast<int>(loops.capacity()); }  ///< that are reserved
@@ -237,75 +239,7 @@ struct loop_path {
     move_keyframes(freed);
   }
 
-  /// Moves the keyframes' poses in the world to where motions and loops agree best: with known
-  /// gravity their headings and positions. Allocates.
-  template <typename Exec>
-  void optimize(Exec const& exec) {
-    if (scaled) {
-      optimize_as<similarity<double>>(exec);
-    } else {
-      optimize_as<rigid<double>>(exec);
-    }
-  }
-
 private:
-  /// Information of the logarithm of the scale, from a keyframe to the next: it drifts by 1 %.
-  static constexpr double kept_scale = 1e4;
-
-  static void give(similarity<double> const& from, similarity<double>& to) { to = from; }
-  static void give(similarity<double> const& from, rigid<double>& to) { to = without_scale(from); }
-  static void give(rigid<double> const& from, similarity<double>& to) { to = with_scale(from); }
-
-  template <typename Motion, typename Exec>
-  void optimize_as(Exec const& exec) {
-    motion_graph<Motion> graph;
-    for (path_keyframe const& k : keyframes) {
-      graph.T_world_pose.emplace_back();
-      give(k.T_world_camera.orthonormalized(), graph.T_world_pose.back());
-      graph.fixed.push_back(graph.fixed.empty() ? 1 : 0);
-    }
-    for (int i = 1; i < size(); ++i) {
-      if (at(i).map != at(i - 1).map) { continue; }
-      path_loop step;
-      step.from = i - 1;
-      step.to = i;
-      step.T_from_to = with_scale(at(i - 1).T_odom_camera.inverse() * at(i).T_odom_camera);
-      std::copy(at(i).information, at(i).information + 21, step.information);
-      step.scale_information = kept_scale;
-      graph.edges.push_back(edge_of<Motion>(step, 1.0 / at(i).steps));
-    }
-    for (path_loop const& l : loops) {
-      graph.edges.push_back(edge_of<Motion>(l, 1));
-      graph.edges.back().kernel = robust_kernel::huber;
-      graph.edges.back().width = scaled ? 3.75 : 3.5;  // 95 % of 7 and 6 degrees of freedom
-    }
-    pose_graph_params params;
-    // The frame with which the correction enters waits for this. To 1e-9 it took up to three times
-    // as long, for a cost that was lower by 3e-5 of itself.
-    params.enough = 1e-5;
-    params.gravity = gravity;
-    optimize_pose_graph(exec, graph, params);
-    for (int i = 0; i < size(); ++i) {
-      give(graph.T_world_pose[static_cast<std::size_t>(i)],
-           keyframes[static_cast<std::size_t>(i)].T_world_camera);
-    }
-  }
-  /// @param weight of its information
-  template <typename Motion>
-  static motion_edge<Motion> edge_of(path_loop const& l, double weight) {
-    constexpr int freedom = freedom_of<Motion>;
-    motion_edge<Motion> e;
-    e.from = l.from;
-    e.to = l.to;
-    give(l.T_from_to.orthonormalized(), e.T_from_to);
-    for (int i = 0, from = 0, at = 0; i < freedom; ++i) {
-      for (int j = i; j < freedom; ++j, ++at) {
-        e.information[at] =
-            weight * (j < 6 ? l.information[from++] : (i < 6 ? 0 : l.scale_information));
-      }
-    }
-    return e;
-  }
   /// Loops of keyframes that leave become those of the keyframe that stands for them.
   void move_loops() {
     for (path_loop& l : loops) {

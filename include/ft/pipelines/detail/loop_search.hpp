@@ -17,6 +17,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/loops/match_keyframes.hpp"
+#include "ft/pipelines/detail/loop_correction.hpp"
 #include "ft/pipelines/detail/loop_path.hpp"
 #include "ft/types/loops.hpp"
 #include "ft/types/poses.hpp"
@@ -47,7 +48,8 @@ struct loop_executor<cuda_exec> {
 };
 #endif
 
-/// Looks for loops of the newest keyframe of a path, and corrects the path.
+/// Looks for loops of the newest keyframe of a path, and corrects the path. Each even run searches,
+/// the odd one after it corrects.
 template <typename Exec, typename Rig>
 struct loop_search {
   Rig rig;
@@ -56,9 +58,12 @@ struct loop_search {
   loop_archive_view archive;
   std::unique_ptr<loop_executor<Exec>> where = std::make_unique<loop_executor<Exec>>();
   loop_path path;           ///< in and out
-  loop_path corrected;      ///< a copy of its keyframes and loops, where the last run closed one
-  bool joins_only = false;  ///< looks for keyframes of other parts alone
-  int closed = 0;           ///< loops that the last run added
+  loop_path corrected;      ///< a copy of its keyframes and loops, where `enters`
+  bool searches = true;     ///< in: the newest keyframe is new
+  bool joins_only = false;  ///< in: looks for keyframes of other parts alone
+  int closed = 0;           ///< loops that the last search added
+  correction_slice slice;   ///< of the correction after it; no steps: there is none
+  bool enters = false;      ///< the path has changed
   struct memory {
     int* rows = nullptr;   ///< [keyframes]
     int* votes = nullptr;  ///< [keyframes]
@@ -95,22 +100,13 @@ struct loop_search {
   static constexpr int more_to_join = 2;
 
   /// Called on a thread of its own.
-  void enqueue(host_exec const& threads, int) {
-    closed = 0;
-    Exec const& exec = where->on(threads);
-    int const candidates = vote(exec);
-    if (candidates == 0) { return; }
-    std::vector<verified_loop> found;
-    for (auto const& group : choose(candidates)) { verify(exec, group, found); }
-    std::vector<path_loop> told_apart;  // by the path as it was: close() may move a part of it
-    for (verified_loop const& f : found) {
-      if (is_told_apart(f, found)) { told_apart.push_back(f.loop); }
+  void enqueue(host_exec const& threads, int run) {
+    if (run % 2 == 0) {
+      look(where->on(threads));
+    } else if (slice.steps > 0) {
+      optimize(threads, path, slice.steps);
+      give();
     }
-    for (path_loop const& l : told_apart) { close(l); }
-    if (closed == 0) { return; }
-    path.optimize(threads);
-    corrected.keyframes = path.keyframes;
-    corrected.loops = path.loops;
   }
 
 private:
@@ -118,6 +114,40 @@ private:
     path_loop loop;
     int inliers;
   };
+  /// Adds loops, and says how long the correction takes. Where a map was joined that enters at
+  /// once, if the correction takes longer than this.
+  void look(Exec const& exec) {
+    closed = 0;
+    slice = {};
+    enters = false;
+    bool const joined = searches && search(exec);
+    if (closed > 0) { path.damping = first_path_damping; }
+    if (!(path.damping > 0)) { return; }
+    slice = slice_of(path);
+    if (joined && slice.frames > 0) {
+      slice = {};
+      give();
+    }
+  }
+  void give() {
+    corrected.keyframes = path.keyframes;
+    corrected.loops = path.loops;
+    enters = true;
+  }
+  /// @return whether a map was joined
+  bool search(Exec const& exec) {
+    int const candidates = vote(exec);
+    if (candidates == 0) { return false; }
+    std::vector<verified_loop> found;
+    for (auto const& group : choose(candidates)) { verify(exec, group, found); }
+    std::vector<path_loop> told_apart;  // by the path as it was: close() may move a part of it
+    for (verified_loop const& f : found) {
+      if (is_told_apart(f, found)) { told_apart.push_back(f.loop); }
+    }
+    int const part = path.at(query()).part;
+    for (path_loop const& l : told_apart) { close(l); }
+    return path.at(query()).part != part;
+  }
   int query() const { return path.size() - 1; }
   /// Whether the query is of a map that is not joined yet.
   bool joins() const { return path.at(query()).part != path.at(0).part; }

@@ -61,14 +61,10 @@ public:
     ++frame_;
     map_ = out.maps;
     closed_now_ = 0;
-    if (running_ && frame_ == ends_) { finish(); }
+    if (running_ && frame_ == ends_) { go_on(); }
     bool const kept = out.keyframe != 0 || (seeks() && out.state == tracking_state::tracking);
     if (kept && (!awaits_scale_ || out.maps == metric_map_)) { keep(exec, stages, out); }
-    if (running_ || searched_ == path_.size()) { return; }
-    if (path_.size() >= params_.keyframes) {
-      path_.thin([this](int row) { free_.push_back(row); });
-      searched_path_differs_ = true;
-    }
+    if (running_ || (searched_ == path_.size() && !(path_.damping > 0))) { return; }
     begin();
   }
   void rethrow() override {
@@ -122,10 +118,11 @@ public:
   }
 
 private:
-  /// Frames after which the result of a search enters: by the number of keyframes alone, so that
-  /// answers do not depend on the machine.
+  /// Frames that a search takes: by the number of keyframes alone, so that answers do not depend on
+  /// the machine. A correction takes those of its slice, too.
   static int frames_of_search(int keyframes) { return 4 + keyframes / 64; }
-  /// Rows beyond the limit, for keyframes during a search.
+  /// Rows beyond the limit, for keyframes during a search and a correction. If that takes longer
+  /// and they run out, a frame waits.
   int margin() const { return std::max(64, 2 * frames_of_search(params_.keyframes)); }
   /// Whether the camera is where the path begins, not in a map that waits to be joined.
   bool of_first_part() const {
@@ -141,7 +138,7 @@ private:
            path_.newest(most_sought) < most_sought;
   }
   void keep(Exec const& exec, stages_type const& stages, odometry_output const& out) {
-    if (free_.empty()) { return; }  // cannot be: a search takes fewer frames than there is margin
+    if (free_.empty()) { make_room(); }
     path_keyframe k;
     k.row = free_.back();
     free_.pop_back();
@@ -161,6 +158,17 @@ private:
     keep_keyframe(exec, with_points(exec, stages), 0, k.row, archive_.view());
     exec.wait();
     path_.keyframes.push_back(k);
+  }
+  /// All of the margin is used: what runs is waited for.
+  void make_room() {
+    if (running_) { finish(); }
+    thin();
+  }
+  void thin() {
+    int const before = path_.size();
+    path_.thin([this](int row) { free_.push_back(row); });
+    searched_ = std::max(searched_ - (before - path_.size()), 0);
+    searched_path_differs_ = true;
   }
   /// The frame with the depths of its keypoints: of one camera those of the map.
   static auto with_points([[maybe_unused]] Exec const& exec, stages_type const& stages) {
@@ -183,6 +191,7 @@ private:
   /// The search has all of the path but what is new: a copy of a long path would be seen in the
   /// time of a frame.
   void begin() {
+    if (path_.size() >= params_.keyframes) { thin(); }
     loop_path& to = beside_->work().path;
     if (searched_path_differs_) {
       to = path_;
@@ -192,28 +201,46 @@ private:
                           path_.keyframes.end());
       to.gravity = path_.gravity;
     }
-    searched_ = path_.size();
     bool const seeking = seeks();
     beside_->work().joins_only = seeking;
-    ends_ = frame_ + (seeking ? 1 : frames_of_search(path_.size()));
+    beside_->work().searches = searched_ < path_.size();
+    ends_ = frame_ + (seeking || searched_ == path_.size() ? 1 : frames_of_search(path_.size()));
+    searched_ = path_.size();
     running_ = true;
-    run_ = beside_->begin();
+    corrects_ = false;
+    run_ = beside_->begin();  // the search
+    beside_->begin();         // the correction by what it finds
   }
-  /// The correction enters. What the search threw is kept for the next frame, before anything of
-  /// that has changed; this one and the odometry go on.
-  void finish() {
-    running_ = false;
-    try {
-      beside_->finish(host_exec(1), run_);
-    } catch (...) {
-      failure_ = std::current_exception();
-      searched_path_differs_ = true;
-      return;
+  /// The search ends, or the correction. What they threw is kept for the next frame, before
+  /// anything of that has changed; this one and the odometry go on.
+  void go_on() {
+    if (!corrects_ && wait_for(run_)) {
+      corrects_ = true;
+      ends_ = frame_ + beside_->work().slice.frames;
     }
+    if (running_ && frame_ == ends_) { finish(); }
+  }
+  /// @return whether it threw nothing; else nothing runs any more
+  bool wait_for(int run) {
+    try {
+      beside_->finish(host_exec(1), run);
+      return true;
+    } catch (...) { failure_ = std::current_exception(); }
+    beside_->drain();
+    searched_path_differs_ = true;
+    path_.damping = 0;
+    running_ = false;
+    return false;
+  }
+  /// The correction enters.
+  void finish() {
+    if (!wait_for(run_ + 1)) { return; }
+    running_ = false;
     search_type& search = beside_->work();
     closed_now_ = search.closed;
     path_.joints = search.path.joints;
-    if (closed_now_ == 0) { return; }
+    path_.damping = search.path.damping;
+    if (!search.enters) { return; }
     path_.loops.swap(search.corrected.loops);
     path_.keyframes.swap(search.corrected.keyframes);
     auto const& before = search.corrected.keyframes;
@@ -267,11 +294,12 @@ private:
   int metric_map_ = 0;         ///< number of the last map whose scale was known
   int map_ = 0;                ///< number of the current one
   long long frame_ = 0;
-  long long ends_ = 0;  ///< frame with which the search in progress ends
-  int run_ = 0;
-  int searched_ = 0;    ///< keyframes of which loops were looked for
-  int closed_now_ = 0;  ///< loops that entered with the last frame
-  bool running_ = false;
+  long long ends_ = 0;     ///< frame with which the search or the correction in progress ends
+  int run_ = 0;            ///< number of the search
+  int searched_ = 0;       ///< keyframes of which loops were looked for
+  int closed_now_ = 0;     ///< loops that entered with the last frame
+  bool running_ = false;   ///< a search and the correction after it
+  bool corrects_ = false;  ///< the search has ended
   bool searched_path_differs_ = true;  ///< from path_, by more than that new keyframes are missing
   bool loaded_ = false;                ///< the path began with that of a file
   std::exception_ptr failure_;         ///< of a search

@@ -78,6 +78,14 @@ function(ft_target_defaults target)
   set_target_properties(${target} PROPERTIES CXX_EXTENSIONS OFF CUDA_EXTENSIONS OFF)
 endfunction()
 
+# ft_compile_fast(target): with FT_FAST_COMPILE, for C++ that runs for no longer than it is compiled. -Og still warns of what
+# its passes see, and is no slower to compile than -O0.
+function(ft_compile_fast target)
+  if(FT_FAST_COMPILE)
+    target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:-Og>)
+  endif()
+endfunction()
+
 # Programs and benches have all architectures. Tests, which take the compiler longest, have those of
 # FT_TEST_CUDA_ARCHITECTURES: by default the newest, and the oldest one's PTX, which other GPUs translate.
 function(ft_set_test_architectures target)

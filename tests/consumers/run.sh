@@ -16,8 +16,8 @@ build=$(cd "${1:-$ft_root/build}" && pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 consumers=$ft_root/tests/consumers
-cuda=OFF linked=OFF
-if ft_find_nvcc; then cuda=ON linked=LINKED; fi
+cuda=OFF
+if ft_find_nvcc; then cuda=ON; fi
 # What is asked here is whether it builds, links and runs: the host's half is not optimised, and without a GPU device
 # code is only compiled, to PTX. CUDA 12.9 and newer have --Ofast-compile.
 fast=
@@ -163,13 +163,13 @@ fi
 consume example host -DCMAKE_PREFIX_PATH="$prefix"
 consume several_units -DCMAKE_PREFIX_PATH="$prefix"
 # OFF: C++ and ft::ft; LINKED: C++ and ft::cuda, the CUDA language not enabled; ON: CUDA and ft::cuda. An installed ft
-# in all modes, with C++20 where C++17 is another consumer's. One in the tree is used as C++; as CUDA it is the example's.
+# in all modes, with C++20 where C++17 is another consumer's; one in the tree with and without CUDA.
 consume cmake_consumer find_package OFF 20 -DCMAKE_PREFIX_PATH="$prefix"
 if [[ $cuda == ON ]]; then
   consume cmake_consumer find_package LINKED 17 -DCMAKE_PREFIX_PATH="$prefix"
   consume cmake_consumer find_package ON 20 -DCMAKE_PREFIX_PATH="$prefix"
 fi
-consume cmake_consumer add_subdirectory "$linked" 17 -DFT_SOURCE_DIR="$ft_root"
+consume cmake_consumer add_subdirectory "$cuda" 17 -DFT_SOURCE_DIR="$ft_root"
 consume cmake_consumer fetch_content OFF 17 -DFT_SOURCE_DIR="$ft_root"
 consume cmake_consumer orbslam3 "$cuda" 17 -DCMAKE_PREFIX_PATH="$prefix"
 consume plain_include

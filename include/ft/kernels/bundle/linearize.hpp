@@ -129,12 +129,12 @@ private:
     real64 error = 0.0;
     strict_vec3d slope{0.0, 0.0, 0.0};
 
-    FT_HOST_DEVICE right_error(Camera const& camera, rigid<real64> const& T,
+    FT_HOST_DEVICE right_error(Camera const& lens, rigid<real64> const& T,
                                strict_vec3d const& in_view, bundle_system_view const& A, int view,
                                int o)
         : there(has_right(A, o)) {
       if (!there) { return; }
-      auto const at = camera.project_with_jacobian(from_right(A, view, in_view));
+      auto const at = lens.project_with_jacobian(from_right(A, view, in_view));
       auto const& J = at.jacobian.m;
       valid = at.value.valid;
       error = at.value.pixel.x - real64(A.right_x[o]);

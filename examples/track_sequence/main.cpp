@@ -95,7 +95,7 @@ int run(app::arguments a, std::vector<std::string> const& words) {
   app::tracking_run(a, sequence, setup, odometry, report).track_all();
   ft::tracking const& last = odometry.odometry().last();
   report.keyframes = last.keyframes;
-  report.map_points = last.map_points;
+  report.map_points = static_cast<int>(odometry.odometry().download_map().points.size());
   report.maps = last.maps;
   auto const map = [&](std::ostream& to, Eigen::Isometry3d const& T_file_world) {
     // The map's points are in the frame of the odometry.

@@ -107,10 +107,10 @@ frame_outcome timed_odometry::timed(Track const& track) {
 
 std::vector<seen_keypoint> timed_odometry::keypoints() const {
   ft::tracked_frame_view const& r = odometry_.keypoints();
+  unsigned char const* const matched = odometry_.matched();
   std::vector<seen_keypoint> all;
   for (int i = 0; i < r.keypoints[0]; ++i) {
-    all.push_back(
-        {r.x[i], r.y[i], r.octave[i], r.depth[i], r.holder[i], odometry_.matched()[i] != 0});
+    all.push_back({r.x[i], r.y[i], r.octave[i], r.depth[i], r.holder[i], matched[i] != 0});
   }
   return all;
 }

@@ -281,7 +281,7 @@ class Run:
             "stages": [*stages, "total"],
             "records": [(i, t, tracked, [*(ms.get(name, 0.0) for name in stages), total], pose)
                         for i, t, tracked, ms, total, pose in self.records],
-            "keyframes": last.keyframes if last else 0, "map_points": last.map_points if last else 0,
+            "keyframes": last.keyframes if last else 0, "map_points": len(made["position"]),
             "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd",
             "with_imu": sequence.imu is not None, "calibration": self._calibration,
             "warnings": sequence.warnings,

@@ -238,6 +238,7 @@ public:
     auto const append = [](auto& to, auto const* from, std::size_t n) {
       to.insert(to.end(), from, from + n);
     };
+    unsigned char const* const is_matched = inner_->matched();
     for (int c = 0; c < r.depth_cameras; ++c) {
       std::size_t const n = index(r.keypoints[b * r.cameras + c]);
       std::size_t const first = index(b) * index(r.numbers()) + index(c) * index(r.capacity);
@@ -248,7 +249,7 @@ public:
       append(octave, r.octave + first, n);
       append(point, r.holder + first, n);
       append(depth, r.depth + first_depth, n);
-      append(matched, inner_->matched() + first, n);
+      append(matched, is_matched + first, n);
       camera.insert(camera.end(), n, c);
     }
     nb::dict d;
@@ -529,9 +530,10 @@ void bind_tracking(nb::module_& m) {
           "map points that were searched")
       .def_prop_ro(
           "left_out", [](tracking const& t) { return t.of.left_out; },
-          "map points for which there was no room")
+          "map points for which there was no room; those of a keyframe come with the next frame")
       .def_prop_ro(
-          "map_points", [](tracking const& t) { return t.of.map_points; }, "in the map")
+          "map_points", [](tracking const& t) { return t.of.map_points; },
+          "in the map before the frame's own keyframe")
       .def_prop_ro(
           "maps", [](tracking const& t) { return t.of.maps; }, "begun so far")
       .def_prop_ro(

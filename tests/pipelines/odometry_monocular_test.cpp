@@ -134,6 +134,7 @@ TYPED_TEST(monocular_odometry, begins_anew_after_a_reset_with_the_same_answers) 
   ASSERT_EQ(begin_of(first), begin_of(again));
   for (std::size_t i = 0; i < first.size(); ++i) {
     EXPECT_EQ(first[i].state, again[i].state) << i;
+    EXPECT_EQ(first[i].map_points, again[i].map_points) << i;
     EXPECT_EQ(first[i].T_world_camera.t.x, again[i].T_world_camera.t.x) << i;
     EXPECT_EQ(first[i].T_world_camera.t.z, again[i].T_world_camera.t.z) << i;
   }

@@ -34,7 +34,7 @@ inline void require_memory_of(int gpu, cudaPointerAttributes const& facts) {
 }  // namespace detail
 
 /// Runs stages on a CUDA stream, asynchronously and in stream order. Does not own the stream. Only
-/// wait() synchronises.
+/// wait() and wait_until() synchronise.
 class cuda_exec {
 public:
   static constexpr memory_space space = memory_space::device;

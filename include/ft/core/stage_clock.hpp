@@ -27,7 +27,7 @@ namespace detail {
 /// The names and order of marks, shared by both clocks.
 class stage_marks {
 public:
-  static constexpr int most = 32;
+  static constexpr int most = 40;
 
   void clear() { used_ = 0; }
   /// @param since of a stage on a branch: the mark of the fork @return the new mark
@@ -85,7 +85,7 @@ public:
     return mark(exec, "");
   }
   /// Marks the end of a stage, which began at the preceding mark. @param name a string literal
-  /// @return the mark @throws bad_argument after 32 marks
+  /// @return the mark @throws bad_argument after stage_marks::most marks
   int mark(Exec const&, char const* name, int = -1) {
     if (!enabled_) { return -1; }
     int const i = marks_.add(name);

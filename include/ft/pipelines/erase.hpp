@@ -125,8 +125,14 @@ public:
     inner_.set_mask(b, camera, mask);
   }
   tracking const& last(int b) const override { return inner_.last(b); }
-  tracked_frame_view const& keypoints() const override { return inner_.keypoints(); }
-  unsigned char const* matched() const override { return inner_.matched(); }
+  tracked_frame_view const& keypoints() const override {
+    [[maybe_unused]] auto const here = place_.enter();
+    return inner_.keypoints();
+  }
+  unsigned char const* matched() const override {
+    [[maybe_unused]] auto const here = place_.enter();
+    return inner_.matched();
+  }
   odometry_map download_map(int b) const override {
     [[maybe_unused]] auto const here = place_.enter();
     return inner_.download_map(b);

@@ -142,7 +142,8 @@ struct tracking {
   int left_out = 0;       ///< map points for which a limit of odometry_params left no room: in the
                           ///< local map; and, with the frame before, among new points, and in an
                           ///< adjustment that began
-  int map_points = 0;     ///< in the map, without the new ones of the frame's own keyframe
+  int map_points = 0;     ///< in the map before the frame's own keyframe, which brings new ones and
+                          ///< takes old ones out
   int maps = 0;           ///< begun so far; the world is that of the first one, as far as known
   int keyframes = 0;      ///< made so far
   /// Row-major 6 x 6 covariance of a small twist x, rotation first, in T_world_camera * exp(x):

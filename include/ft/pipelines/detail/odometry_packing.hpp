@@ -152,8 +152,10 @@ struct pack_tracking {
     bool const searched = t.plan != search_plan::nothing;
     out.local_points = searched ? facts.local_count[b] : 0;
     out.left_out = (searched ? facts.local_left_out[b] : 0) + t.left_out;
-    bool const goes_on = t.has_map() && state.order[b] != keyframe_order::begin_map;
-    out.map_points = goes_on ? facts.map_points[b] : 0;
+    // Not once more, when the keyframe is in the map. A map that begins has no points yet.
+    if (facts.weighed != nullptr || t.begins != 0) {
+      out.map_points = t.has_map() && t.begins == 0 ? facts.map_points[b] : 0;
+    }
     out.maps = t.maps;
     out.keyframes = t.keyframes;
     set_flag(&out.complete);

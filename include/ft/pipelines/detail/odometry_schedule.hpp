@@ -3,8 +3,9 @@
 ///
 /// The end of an adjustment and the prediction need no keypoints, so a branch has them, and another
 /// one what parts have beside it: the integration of an IMU's samples. After the last pose each
-/// stage needs what the one before it has decided; what only the next frame needs of parts is on a
-/// branch again. Without parts that launch there is no branch of theirs.
+/// stage needs what the one before it has decided, but for the weighing of matches; what only the
+/// next frame needs of parts is on a branch again. The host waits for the outputs; what follows
+/// them is the map's. Without parts that launch there is no branch of theirs.
 /// How the images changed is found beside their keypoints.
 #pragma once
 

@@ -29,8 +29,8 @@ std::vector<std::string> stage_names_of(ft::rig_kind kind) {
                                     "search local map",
                                     "pose local map",
                                     "start",
-                                    "keyframe",
                                     "result",
+                                    "keyframe",
                                     "total"};
   bool const monocular = kind == ft::rig_kind::monocular;
   names.erase(std::find(names.begin(), names.end(), monocular ? "stereo" : "start"));

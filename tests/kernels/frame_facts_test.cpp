@@ -34,6 +34,7 @@ struct sum_errors {
     for (int i = g.rank(); i < n; i += g.size()) {
       s.add(of[i].at, ft::strict_float(of[i].x), ft::strict_float(of[i].y), width, height);
     }
+    g.sync();
     int const shared = s.common(g);
     if (g.rank() == 0) { *common = shared; }
   }

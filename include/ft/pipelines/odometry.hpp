@@ -96,8 +96,8 @@ public:
       : odometry(exec, rig, params, 1) {}
 
   /// Tracks the next frame of all cameras. Returns as soon as what it returns is known; on a device
-  /// a keyframe enters the map meanwhile, on the executor's stream, unless a part is plugged in.
-  /// Images are not read any more. Allocates nothing.
+  /// a keyframe enters the map meanwhile, on the executor's stream, unless a part other than
+  /// ft::inertial is plugged in. Images are not read any more. Allocates nothing.
   /// @param images [batch] @param time_ns [batch] when the images were taken; ascending
   /// @return [batch] valid until the next call
   /// @throws bad_argument for an image that is null or of another size, or for a time that is not

@@ -75,10 +75,9 @@ struct error_blocks {
   /// errors of two inliers of a block, by the mean of their squares, in 1 / 1024. The errors of a
   /// right pose are those of keypoints, of which each has its own: 0, give or take one by the root
   /// of the number of pairs. 0 where there are too few pairs to tell a quarter with four standard
-  /// deviations.
+  /// deviations. After a barrier behind add(); `g` may be a part of the group that has added.
   template <typename Group>
   FT_HOST_DEVICE int common(Group g) const {
-    g.sync();
     std::int64_t products = 0, all = 0, pairs = 0;
     for (int i = g.rank(); i < blocks; i += g.size()) {
       std::int64_t const sx = x[i], sy = y[i], n = count[i];
@@ -100,7 +99,8 @@ private:
 };
 
 struct facts_scratch {
-  error_blocks image, disparity;
+  error_blocks errors[2];  ///< in the image, and of the disparity
+  int common[2];
 };
 
 /// What the observations of the last pose say. All threads of a group call.
@@ -125,8 +125,8 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
                : frame_facts::most_misfit * frame_facts::misfit_one;
   };
   auto const length_of = [](int x, int y) { return (x < 0 ? -x : x) + (y < 0 ? -y : y); };
-  s.image.clear(g);
-  s.disparity.clear(g);
+  s.errors[0].clear(g);
+  s.errors[1].clear(g);
   frame_facts n;
   for (int i = g.rank(); i < in.count[b]; i += g.size()) {
     std::ptrdiff_t const at = static_cast<std::ptrdiff_t>(b) * in.capacity + i;
@@ -148,10 +148,10 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
       n.resting += static_cast<int>(length_of(dx - x, dy - y) <= 2);
       real const root = scalar::sqrt(real(o.inv_sigma2));
       int const width = geometry.width[0], height = geometry.height[0];
-      s.image.add(o, r.error[0] * root, r.error[1] * root, width, height);
+      s.errors[0].add(o, r.error[0] * root, r.error[1] * root, width, height);
       if (r.rows == 3) {
         // Of the disparity: what the columns in both images do not share.
-        s.disparity.add(o, (r.error[0] - r.error[2]) * root, real(0), width, height);
+        s.errors[1].add(o, (r.error[0] - r.error[2]) * root, real(0), width, height);
       }
     }
     // Of a pair that is not rectified, what the right camera sees tells of its time and place.
@@ -168,11 +168,18 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
   }
   four_sums const a =
       g.reduce(four_sums{{n.flowing, n.with_disparity, n.off_disparity, n.resting}}, sum_op{});
-  n.misfit = g.reduce(n.misfit, sum_op{});
-  n.rows = g.reduce(n.rows, sum_op{});
+  four_sums const of_errors = g.reduce(four_sums{{n.misfit, n.rows, 0, 0}}, sum_op{});
+  g.sync();
+  for (int k = g.part_index(); k < 2; k += g.parts()) {
+    int const common = s.errors[k].common(g.part());
+    if (g.part().rank() == 0) { s.common[k] = common; }
+  }
+  g.sync();
   n.matches = in.count[b];
-  n.common = s.image.common(g);
-  n.common_disparity = s.disparity.common(g);
+  n.misfit = of_errors.of[0];
+  n.rows = of_errors.of[1];
+  n.common = s.common[0];
+  n.common_disparity = s.common[1];
   n.flowing = a.of[0];
   n.with_disparity = a.of[1];
   n.off_disparity = a.of[2];

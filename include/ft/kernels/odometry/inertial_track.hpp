@@ -49,6 +49,7 @@ struct inertial_track {
   int restarts;         ///< 1 = the integral from the newest keyframe begins with the next interval
   int metric;           ///< of one camera: 1 = lengths of its map are metres
   int map;              ///< likewise: number of its map, of which all above is known; 0 = none
+  int begins;           ///< likewise: 1 = that map begins with the current frame
   vec3<double> origin;  ///< likewise: where the map's first camera is, in the map's unit
   int weak;             ///< 1 = few keypoints of the current frame agree with its pose
   int contradicted;  ///< frames since the last optimised one whose map points the IMU contradicts

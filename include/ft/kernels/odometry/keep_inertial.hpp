@@ -62,38 +62,28 @@ namespace detail {
 /// Share of the weights of earlier estimates that remains with a new one.
 inline constexpr float inertial_memory = 0.98f;
 
-/// Item: a camera. Keeps its state, and the integral of a new keyframe.
-struct keep_inertial_frame {
+/// Item: a camera whose frame is judged. Keeps its state, and tells it.
+struct keep_inertial_state {
   using scratch = no_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int b, odometry_state_view const& state,
-                                 keyframes_view const& keyframes, inertial_view const& v,
-                                 inertial_track* out) const {
-    bool const is_keyframe = state.order[b] != keyframe_order::none;
-    if (is_keyframe) { copy_object(g, link_of(b, keyframes, v), v.from_keyframe(b)); }
-    g.sync();
-    if (g.rank() == 0) { keep(b, state, keyframes, v); }
+                                 inertial_view const& v, inertial_track* out) const {
+    if (g.rank() == 0) { keep(b, state, v); }
     g.sync();
     copy_object(g, out[b], v.tracks[b]);
   }
 
 private:
-  /// The integral up to the newest keyframe.
-  FT_HOST_DEVICE static preintegrated& link_of(int b, keyframes_view const& keyframes,
-                                               inertial_view const& v) {
-    return v.between[v.at(b, keyframes.position(keyframes.made[b]))];
-  }
-  FT_HOST_DEVICE static void keep(int b, odometry_state_view const& state,
-                                  keyframes_view const& keyframes, inertial_view const& v) {
+  FT_HOST_DEVICE static void keep(int b, odometry_state_view const& state, inertial_view const& v) {
     inertial_track& t = v.tracks[b];
     camera_track const& track = state.tracks[b];
     keyframe_order const order = state.order[b];
     bool const tracked =
         track.has_map() && track.lost_frames == 0 && order != keyframe_order::begin_map;
     bool const optimized = tracked && t.optimized != 0;
-    bool const begins = v.seeks_scale && track.maps != t.map;
-    if (begins) { forget_map(t, b, track.maps, keyframes); }
+    t.begins = v.seeks_scale && track.maps != t.map ? 1 : 0;
+    if (t.begins != 0) { forget_map(t, track.maps); }
     if (optimized) {
       t.last = v.poses.result[b].stored;
       t.moves = 1;
@@ -108,18 +98,13 @@ private:
     }
     t.follows = optimized ? 1 : 0;
     if (order == keyframe_order::none) { return; }
-    if (begins || order == keyframe_order::begin_map) {
-      link_of(b, keyframes, v).status = integration_status::no_samples;
-    }
     t.keyframe = t.last;
     t.keyframe_moves = t.moves;
     t.keyframe_rate = t.rate;
-    v.motion[v.at(b, keyframes.position(keyframes.made[b]))] = {t.last.v, t.moves, t.weak, t.rate};
     t.restarts = 1;
   }
   /// A new map has a unit of its own: of what was known the biases are left, to integrate with.
-  FT_HOST_DEVICE static void forget_map(inertial_track& t, int b, int map,
-                                        keyframes_view const& keyframes) {
+  FT_HOST_DEVICE static void forget_map(inertial_track& t, int map) {
     inertial_track const old = t;
     t = inertial_track::initial();
     t.last.bias = t.keyframe.bias = old.last.bias;
@@ -132,12 +117,35 @@ private:
     t.rate = old.rate;
     t.clock_sigma = old.clock_sigma;
     t.map = map;
-    if (keyframes.count[b] == 0) { return; }
-    int const first = keyframes.position(keyframes.oldest(b));
-    t.origin = keyframes.T_cw[keyframes.at(b, first)]
-                   .template cast<strict_double>()
-                   .centre()
-                   .template cast<double>();
+    t.begins = 1;
+  }
+};
+
+/// Item: a camera whose keyframe has entered the map. Keeps its integral, and where a map begins.
+struct keep_inertial_keyframe {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, odometry_state_view const& state,
+                                 keyframes_view const& keyframes, inertial_view const& v) const {
+    inertial_track& t = v.tracks[b];
+    if (t.begins != 0 && keyframes.count[b] > 0 && g.rank() == 0) {
+      int const first = keyframes.position(keyframes.oldest(b));
+      t.origin = keyframes.T_cw[keyframes.at(b, first)]
+                     .template cast<strict_double>()
+                     .centre()
+                     .template cast<double>();
+    }
+    keyframe_order const order = state.order[b];
+    if (order == keyframe_order::none) { return; }
+    auto const at = v.at(b, keyframes.position(keyframes.made[b]));
+    copy_object(g, v.between[at], v.from_keyframe(b));
+    g.sync();
+    if (g.rank() != 0) { return; }
+    if (t.begins != 0 || order == keyframe_order::begin_map) {
+      v.between[at].status = integration_status::no_samples;
+    }
+    v.motion[at] = {t.last.v, t.moves, t.weak, t.rate};
   }
 };
 
@@ -304,14 +312,21 @@ private:
 
 }  // namespace detail
 
-/// Keeps the states of all cameras after a frame, and the integrals of new keyframes. Asynchronous
-/// on `exec`; allocates nothing; one launch.
+/// Keeps the states of all cameras after a frame is judged. Asynchronous on `exec`; allocates
+/// nothing; one launch.
 /// @param out [batch] host memory that the executor's threads can write: the states
 template <typename Exec>
-void keep_inertial_frames(Exec const& exec, odometry_state_view const& state,
-                          keyframes_view const& keyframes, inertial_view const& v,
-                          inertial_track* out) {
-  for_each_item<per_warp>(exec, v.batch, detail::keep_inertial_frame{}, state, keyframes, v, out);
+void keep_inertial_states(Exec const& exec, odometry_state_view const& state,
+                          inertial_view const& v, inertial_track* out) {
+  for_each_item<per_warp>(exec, v.batch, detail::keep_inertial_state{}, state, v, out);
+}
+
+/// Keeps the integrals of new keyframes, which are in the map, after keep_inertial_states().
+/// Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec>
+void keep_inertial_keyframes(Exec const& exec, odometry_state_view const& state,
+                             keyframes_view const& keyframes, inertial_view const& v) {
+  for_each_item<per_warp>(exec, v.batch, detail::keep_inertial_keyframe{}, state, keyframes, v);
 }
 
 /// Gathers the integrals between the keyframes of adjustments that begin, after gather_window().

@@ -186,8 +186,8 @@ struct odometry_engine {
     }
     require(taken, "the odometry was made without odometry_params::own_features");
   }
-  /// Runs a frame and waits for its outputs; without parts not for its keyframe, which enters the
-  /// map meanwhile. @param time_ns [batch]
+  /// Runs a frame and waits for its outputs; not for its keyframe, which enters the map meanwhile,
+  /// unless a part needs it. @param time_ns [batch]
   tracking const* track(std::int64_t const* time_ns, frame_extent extent) {
     set_inputs(time_ns);
     adjustments.end_before(exec, frame);
@@ -195,7 +195,7 @@ struct odometry_engine {
     now.graph.replay(exec, [&](Exec const& e) { queue(e, extent); });
     frame_end.set(exec);
     last_clock = &now.clock;
-    if (stages.plugged.empty()) {
+    if (stages.parts_tell_with_outputs()) {
       exec.wait_until([this] { return outputs_are_complete(); });
     } else {
       exec.wait();

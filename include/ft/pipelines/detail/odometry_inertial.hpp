@@ -162,8 +162,12 @@ public:
   void beside_decision(Exec const& exec, stages_type const& s) const override {
     marginalize_inertial_poses(exec, s.rig, mount_, problems(s.memory.observations));
   }
+  void before_outputs(Exec const& exec, stages_type const& s) const override {
+    keep_inertial_states(exec, s.own.state, view_, outputs_);
+  }
+  bool tells_with_outputs() const override { return true; }
   void beside_window(Exec const& exec, stages_type const& s) const override {
-    keep_inertial_frames(exec, s.own.state, s.own.map.keyframes, view_, outputs_);
+    keep_inertial_keyframes(exec, s.own.state, s.own.map.keyframes, view_);
   }
   void beside_result(Exec const& exec, stages_type const& s) const override {
     auto const& own = s.own;

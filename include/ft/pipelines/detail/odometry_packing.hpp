@@ -120,23 +120,46 @@ struct pack_depths {
   }
 };
 
-/// Item: a camera. The flag comes last, and all that the host reads with it is written here.
+/// Item: a camera. The flag comes last, and all that the host reads with it is written here: put
+/// together first, since single words take long to cross the bus.
 struct pack_tracking {
-  using scratch = no_scratch;
+  struct scratch {
+    alignas(odometry_output) unsigned char output[sizeof(odometry_output)];
+    int evidence;
+  };
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int b, odometry_state_view const& state,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, odometry_state_view const& state,
                                  tracking_facts const& facts, odometry_output* outputs) const {
-    odometry_output& out = outputs[b];
+    odometry_output& out = *reinterpret_cast<odometry_output*>(s.output);
+    camera_track& t = state.tracks[b];
+    bool const judged = facts.weighed != nullptr && t.plan != search_plan::nothing;
     for (int i = g.rank(); i < information_terms; i += g.size()) {
       out.information[i] = facts.information[b * information_terms + i];
     }
-    g.sync();
-    if (g.rank() != 0) { return; }
-    camera_track& t = state.tracks[b];
-    if (facts.weighed != nullptr && t.plan != search_plan::nothing) {
-      take_facts(t, facts, b, state.counts[b] != sightings::none);
+    if (judged && g.rank() == g.size() / 2) {  // another warp than that of the first thread
+      s.evidence = static_cast<int>(facts.chances[b].bits(facts.inliers[b]) / evidence_one);
     }
+    if (g.rank() == 0) { fill(out, b, t, state, facts, outputs[b]); }
+    g.sync();
+    if (judged && g.rank() == 0) {
+      out.facts.evidence = s.evidence;
+      t.facts = out.facts;
+    }
+    g.sync();
+    copy_object(g, outputs[b], out);
+    g.sync();
+    if (g.rank() == 0) { set_flag(&outputs[b].complete); }
+  }
+
+private:
+  /// All but the evidence. @param before what was packed of this frame, if it was
+  FT_HOST_DEVICE static void fill(odometry_output& out, int b, camera_track& t,
+                                  odometry_state_view const& state, tracking_facts const& facts,
+                                  odometry_output const& before) {
+    // Before its first map a camera that was reset searches its old one, for nothing.
+    bool const searched = t.plan != search_plan::nothing;
+    out.complete = 0;
     out.T_cw = state.T_cw[b];
     out.state = t.state;
     out.begins_map = t.begins;
@@ -146,33 +169,28 @@ struct pack_tracking {
     out.inliers = facts.inliers[b];
     out.agreed = t.agreed;
     out.seen = facts.seen[b];
-    out.facts = t.facts;
     out.start = facts.start == nullptr ? start_report{} : facts.start[b];
-    // Before its first map a camera that was reset searches its old one, for nothing.
-    bool const searched = t.plan != search_plan::nothing;
     out.local_points = searched ? facts.local_count[b] : 0;
     out.left_out = (searched ? facts.local_left_out[b] : 0) + t.left_out;
     // Not once more, when the keyframe is in the map. A map that begins has no points yet.
-    if (facts.weighed != nullptr || t.begins != 0) {
-      out.map_points = t.has_map() && t.begins == 0 ? facts.map_points[b] : 0;
-    }
+    bool const counts = facts.weighed != nullptr || t.begins != 0;
+    bool const has_points = t.has_map() && t.begins == 0;
+    out.map_points = !counts ? before.map_points : has_points ? facts.map_points[b] : 0;
     out.maps = t.maps;
     out.keyframes = t.keyframes;
-    set_flag(&out.complete);
+    out.facts = t.facts;
+    if (facts.weighed == nullptr || !searched) { return; }
+    take_facts(out.facts, facts.weighed[b]);
+    bool const found = state.counts[b] != sightings::none;
+    t.moved = found && 2 * out.facts.flowing > out.inliers ? 1 : 0;
   }
-
-private:
-  /// What the matches say, of a judged frame. @param found whether it is tracked
-  FT_HOST_DEVICE static void take_facts(camera_track& t, tracking_facts const& in, int b,
-                                        bool found) {
-    frame_facts facts = in.weighed[b];
-    facts.fixed = t.facts.fixed;
-    facts.dragged = t.facts.dragged;
-    facts.held_before = t.facts.held_before;
-    facts.moving = t.facts.moving;
-    facts.evidence = static_cast<int>(in.chances[b].bits(in.inliers[b]) / evidence_one);
-    t.facts = facts;
-    t.moved = found && 2 * facts.flowing > in.inliers[b] ? 1 : 0;
+  /// What the matches say, of a judged frame, beside what is known of its keypoints.
+  FT_HOST_DEVICE static void take_facts(frame_facts& to, frame_facts facts) {
+    facts.fixed = to.fixed;
+    facts.dragged = to.dragged;
+    facts.held_before = to.held_before;
+    facts.moving = to.moving;
+    to = facts;
   }
 };
 

@@ -44,11 +44,15 @@ public:
   virtual void after_prediction(Exec const&, stages_type const&) const {}
   virtual void after_pose(Exec const&, stages_type const&) const {}
   virtual void beside_decision(Exec const&, stages_type const&) const {}
+  virtual void before_outputs(Exec const&, stages_type const&) const {}
   virtual void beside_window(Exec const&, stages_type const&) const {}
   virtual void beside_result(Exec const&, stages_type const&) const {}
 
   /// Instead of those of images, of a frame whose features were taken.
   virtual void queue_features(Exec const&, stages_type const&) const {}
+
+  /// Whether the host needs nothing of what is launched after before_outputs().
+  virtual bool tells_with_outputs() const { return false; }
 
   // ---- beside frames
 
@@ -63,7 +67,7 @@ public:
   /// Before a frame of camera pair b. @param begun whether there was a frame before it
   virtual void before_frame(int /*b*/, bool /*begun*/, std::int64_t /*from_ns*/,
                             std::int64_t /*to_ns*/) {}
-  /// After a frame, and the wait for it. May wait.
+  /// After a frame, and the wait for it, or for its outputs. May wait.
   virtual void after_frame(Exec const&, stages_type const&) {}
   /// What it knows about the frame of camera pair b.
   virtual void describe(int /*b*/, std::int64_t /*time_ns*/, tracking&) {}

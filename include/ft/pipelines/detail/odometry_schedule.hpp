@@ -134,8 +134,9 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   line.join(s.result_branch());  // count_chances reads points, which insert writes
   s.judge(line.then("result"));
   s.weigh(line.with("result"));
+  if (parts) { s.launch_parts(line.then("result"), &part::before_outputs); }
   s.pack_outputs(line.then("result"));
-  s.count_points(line.then("keyframe"));
+  s.count_points(line.with("keyframe"));
   if constexpr (Stages::starts_from_motion) {
     s.insert_first(line.then("keyframe"));
     s.triangulate(line.then("keyframe"));

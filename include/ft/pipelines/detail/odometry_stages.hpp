@@ -112,6 +112,10 @@ public:
   bool parts_launch() const {
     return std::any_of(plugged.begin(), plugged.end(), [](auto const& p) { return p->launches(); });
   }
+  bool parts_tell_with_outputs() const {
+    return std::all_of(plugged.begin(), plugged.end(),
+                       [](auto const& p) { return p->tells_with_outputs(); });
+  }
   void launch_parts(Exec const& exec, part_launch at) const {
     for (auto const& p : plugged) { ((*p).*at)(exec, *this); }
   }
@@ -281,7 +285,8 @@ public:
                          own.chances,
                          weighed};
     if constexpr (starts_from_motion) { facts.start = beginning.begins().report; }
-    for_each_item<per_warp>(exec, own.state.batch, pack_tracking{}, own.state, facts, own.outputs);
+    for_each_item<per_block<64>>(exec, own.state.batch, pack_tracking{}, own.state, facts,
+                                 own.outputs);
   }
   /// After the keyframe and the window; pack_matches() follows.
   void keep_counts(Exec const& exec) const {

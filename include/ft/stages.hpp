@@ -79,6 +79,7 @@
 #include "ft/kernels/inertial/stored_state.hpp"
 #include "ft/kernels/keypoints/describe_corners.hpp"
 #include "ft/kernels/keypoints/descriptor.hpp"
+#include "ft/kernels/keypoints/drop_edges.hpp"
 #include "ft/kernels/keypoints/gather_features.hpp"
 #include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"

@@ -88,6 +88,7 @@ TEST(check_params, names_the_value_and_the_limits) {
 TEST(check_params, takes_values_that_mean_off) {
   auto p = with_imu();
   p.orb.start_features = p.orb.mask_width = p.orb.mask_height = 0;
+  p.orb.corner_ratio = 0;
   p.rules.min_evidence = p.rules.wanted_near_points = p.rules.new_near_points = 0;
   p.rules.keyframe_period_s = 0;
   p.enough_matches = 0;
@@ -130,7 +131,7 @@ SETTINGS_OF(ft::mat3<double>, m)
 SETTINGS_OF(ft::rigid<double>, R, t)
 SETTINGS_OF(ft::stereo_overlap, left, right)
 SETTINGS_OF(ft::orb_params, width, height, features, start_features, levels, scale_factor,
-            ini_threshold, min_threshold, mask_width, mask_height, exact_positions,
+            ini_threshold, min_threshold, corner_ratio, mask_width, mask_height, exact_positions,
             refine_positions, ties)
 SETTINGS_OF(ft::motion_params, even, longest, memory)
 SETTINGS_OF(ft::tracking_rules, min_stereo_points, min_motion_inliers, min_inliers, min_recovered,

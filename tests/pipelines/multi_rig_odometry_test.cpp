@@ -166,6 +166,7 @@ TYPED_TEST(multi_rig_odometry, a_lap_is_closed_by_either_pair) {
       {pair_at(turned(0.1f, {0.1f, 0.02f, 0.1f})), pair_at(turned(2.1f, {0.1f, 0, -0.1f}))}};
   auto const walk = round(rig, lap, frames);
   auto params = odometry_params();
+  params.orb.features = 400;
   params.window = {4, 2};
   params.keyframes = 12;  // the odometry itself has forgotten where it began
   params.local_map.keyframes = 8;

@@ -395,6 +395,7 @@ TYPED_TEST(odometry_pipeline, says_the_settings_that_it_was_given) {
   EXPECT_FALSE(odo.params().orb.exact_positions);
   EXPECT_FALSE(odo.params().orb.refine_positions);
   EXPECT_EQ(odo.params().orb.start_features, 0);
+  EXPECT_EQ(odo.params().orb.corner_ratio, 0);
 }
 
 TYPED_TEST(odometry_pipeline, moves) {

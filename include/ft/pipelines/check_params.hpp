@@ -42,6 +42,7 @@ inline void check(orb_params const& p) {
                         p.ini_threshold);
   detail::require_range("mask_width", p.mask_width, 0, max_image_side);
   detail::require_range("mask_height", p.mask_height, 0, max_image_side);
+  detail::require_range("corner_ratio", p.corner_ratio, 0.0f, 1.0f);
   if ((p.mask_width == 0) != (p.mask_height == 0)) {
     throw bad_argument("ft: mask_width is " + std::to_string(p.mask_width) +
                        " and mask_height is " + std::to_string(p.mask_height) +

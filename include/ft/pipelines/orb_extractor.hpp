@@ -55,6 +55,7 @@ public:
     s.geometry.exact = params.exact_positions;
     s.thresholds = {params.ini_threshold, params.min_threshold};
     s.ties = params.ties;
+    s.corner_ratio = params.corner_ratio;
     s.refines = params.refine_positions;
     s.blur_tiles = blur_layout::make(s.geometry);
     corner_layout const cells = corner_layout::make(s.geometry);

@@ -25,6 +25,10 @@ struct orb_params {
   float scale_factor = 1.2f;
   int ini_threshold = 20;  ///< corner threshold, grey levels
   int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold; not above it
+  /// Least ratio of the eigenvalues of a corner's structure tensor, [0, 1]: corners of a smaller
+  /// one lie on an edge, and are left out; see drop_edges(). 0 = all are kept, as in ORB-SLAM3; but
+  /// in an odometry that has depths 0 is odometry_corner_ratio.
+  float corner_ratio = 0;
   /// Size of masks, pixels, up to 16384 a side. A mask is stretched over its image. 0 = no masks
   int mask_width = 0;
   int mask_height = 0;
@@ -38,6 +42,10 @@ struct orb_params {
   tie_rule ties =
       tie_rule::stable;  ///< std_sort: keypoints as ORB-SLAM3 with libstdc++ orders them
 };
+
+/// The orb_params::corner_ratio of an odometry, if none is given: along its edge a corner is at
+/// most four times as uncertain as across it.
+inline constexpr float odometry_corner_ratio = 1.0f / 16;
 
 /// Pixel columns that both cameras of a fisheye pair see. Keypoints inside go to the end of the
 /// list. The default contains no keypoint.

@@ -16,6 +16,7 @@
 #include "ft/kernels/corners/mask.hpp"
 #include "ft/kernels/distribution/distribute_corners.hpp"
 #include "ft/kernels/keypoints/describe_corners.hpp"
+#include "ft/kernels/keypoints/drop_edges.hpp"
 #include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/keypoints/refine_positions.hpp"
 #include "ft/kernels/pyramid/build_pyramid.hpp"
@@ -35,7 +36,8 @@ struct extraction {
   blur_layout blur_tiles;
   corner_params thresholds;
   tie_rule ties = tie_rule::stable;
-  bool refines = false;  ///< positions
+  float corner_ratio = 0;  ///< of drop_edges(); 0 = none are dropped
+  bool refines = false;    ///< positions
   image_pyramid_view pyramid;
   image_pyramid_view blurred;
   corners_view corners;
@@ -51,6 +53,7 @@ struct extraction {
   frame_arrivals arrivals;
 
   description_source described_in() const { return {pyramid, blurred, pattern}; }
+  bool drops_edges() const { return corner_ratio > 0; }
   bool refines_positions() const { return refines; }
   bool has_masks() const { return masks.data != nullptr; }
   /// Whether tiles of the pyramid wait for their rows while later rows are still being uploaded.
@@ -80,6 +83,7 @@ struct extraction {
     if (has_masks()) { mask_corners(exec, geometry, masks, corners); }
   }
   void distribute(Exec const& exec) const { distribute_corners(exec, corners, kept, ties); }
+  void drop_edges(Exec const& exec) const { ft::drop_edges(exec, pyramid, corner_ratio, kept); }
   void blur(Exec const& exec) const { blur_pyramid(exec, pyramid, blurred, blur_tiles); }
   /// Orders the keypoints and writes their positions.
   /// @param grids into which they are sorted: keypoint_grids or no_grids
@@ -131,6 +135,8 @@ struct extraction_with {
   void build_levels(Exec const& exec) const { stages.build_levels(exec); }
   void detect(Exec const& exec) const { stages.detect(exec); }
   void distribute(Exec const& exec) const { stages.distribute(exec); }
+  bool drops_edges() const { return stages.drops_edges(); }
+  void drop_edges(Exec const& exec) const { stages.drop_edges(exec); }
   void blur(Exec const& exec) const { stages.blur(exec); }
   void order(Exec const& exec) const { stages.order(exec, grids); }
   void describe(Exec const& exec) const { stages.describe(exec); }

@@ -110,6 +110,7 @@ void queue_features(Line& line, Features const& f) {
   f.detect(line.then("corners"));
   line.both([&](Line& l) { f.distribute(l.then("distribution")); },
             [&](Line& l) { f.blur(l.with("blur")); });
+  if (f.drops_edges()) { f.drop_edges(line.then("distribution")); }
   f.order(line.then("order"));
   f.describe(line.with("descriptors"));
   if (f.refines_positions()) { f.refine(line.then("descriptors")); }

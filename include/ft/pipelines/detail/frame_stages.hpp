@@ -80,6 +80,8 @@ public:
     features().order(exec, grids_of(matcher, memory.frame.grids));
   }
   void describe(Exec const& exec) const { features().describe(exec); }
+  bool drops_edges() const { return features().drops_edges(); }
+  void drop_edges(Exec const& exec) const { features().drop_edges(exec); }
   bool refines_positions() const { return features().refines_positions(); }
   void refine(Exec const& exec) const { features().refine(exec); }
 

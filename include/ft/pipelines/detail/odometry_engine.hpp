@@ -238,6 +238,9 @@ private:
       stages.settings.rules.keyframe_period_s = params.imu.keyframe_period_s;
     }
     stages.settings.orb.start_features = start_features(params.orb);
+    if (!(params.orb.corner_ratio > 0) && !stages_type::starts_from_motion) {
+      stages.settings.orb.corner_ratio = odometry_corner_ratio;
+    }
     stages.settings.orb.exact_positions = true;
     stages.settings.orb.refine_positions = parts_of_rig::refines_positions;
     stages.pose_settings.disparity_weight = parts_of_rig::disparity_weight;

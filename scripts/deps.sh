@@ -5,7 +5,7 @@
 # After it, `nvcc` is on the PATH where a CUDA toolkit is installed in one of the usual places.
 
 ft_build_packages=(build-essential cmake ninja-build ccache libtbb-dev libeigen3-dev libpng-dev
-  libjpeg-dev libyaml-cpp-dev nlohmann-json3-dev libcli11-dev)
+  libjpeg-dev libtiff-dev libyaml-cpp-dev nlohmann-json3-dev libcli11-dev)
 ft_test_packages=(libgtest-dev libbenchmark-dev libopencv-dev libceres-dev clang python3 python3-dev python3-venv pkg-config git)
 # Not every release has them; without them the formatting is not checked, the documentation not made, the
 # evaluation not tested over MPI.

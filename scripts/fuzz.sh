@@ -20,7 +20,7 @@ fi
 folder=build-fuzz
 fuzzers=(images containers cameras readers files)
 # What is left out takes the compiler a quarter of its time; where it leads to a wrong access AddressSanitizer finds it.
-flags=(-std=c++17 -O1 -g1 -Iinclude -I. -fsanitize=fuzzer,address,undefined,float-cast-overflow
+flags=(-std=c++17 -O1 -g1 -Iinclude -I. -DFT_SEQUENCE_TIFF=1 -fsanitize=fuzzer,address,undefined,float-cast-overflow
   -fno-sanitize=null,object-size,vptr,pointer-overflow -fno-sanitize-recover=all)
 mkdir -p "$folder"
 
@@ -52,7 +52,7 @@ link() {
   local name=$1 sources=(tests/fuzz/"$1"_fuzz.cpp) libraries=(-ltbb -lpthread) objects=() source
   if [[ $name == readers ]]; then
     sources+=("$folder/readers_parts.cpp")
-    libraries=(-lpng -ljpeg -lyaml-cpp -lpthread)
+    libraries=(-lpng -ljpeg -ltiff -lyaml-cpp -lpthread)
   fi
   for source in "${sources[@]}"; do objects+=("$(object_of "$source")"); done
   clang++ "${flags[@]}" "${objects[@]}" -o "$folder/${name}_fuzz" "${libraries[@]}"

@@ -245,7 +245,8 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     warning where up to eight images of each camera need 14 or fewer. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
     also reads mav0/imu0, imu0 or imu.csv, or a bag's sensor_msgs/Imu, if the calibration says where it is (Kalibr's
     chain). rig: auto (what the folder holds), stereo, mono (the left camera alone), rgbd, or mixed: a pair and all cameras beside it (cam2 ..., of
-    EuRoC's layout or of folders with Kalibr's chain), of any lenses, as they are; auto and stereo take the pair alone.
+    EuRoC's layout or of folders with Kalibr's chain; those of a bag), of any lenses, as they are; auto and stereo take the pair
+    alone.
     depth_unit: metres per unit of depth images; None = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
     stamps of a frame's images may be apart; None = 1 ms for a pair, 20 ms for depth images. Warns of what was left out or
     looks wrong. Raises RuntimeError that names the file and what is wrong; ValueError for arguments out of range."""
@@ -258,8 +259,8 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     if not isinstance(max_frames, (int, np.integer)) or not 0 <= max_frames < 2**31:
         raise ValueError(f"max_frames is {max_frames!r}, must be a whole number from 0 to {2**31 - 1}")
     frames = int(max_frames)
-    recording = unpacked(folder, Wanted("stereo" if rig == "mixed" else str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics),
-                                        bool(str(calibration)), progress or (lambda images: None), bool(imu)))
+    recording = unpacked(folder, Wanted(str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics), str(calibration),
+                                        progress or (lambda images: None), bool(imu)))
     if recording is not None and (fps is not None or str(times)):
         recording.stamps = ""  # not the recording's own
     if recording is None:

@@ -25,14 +25,13 @@ Progress = Callable[[int], None]
 
 @dataclass
 class Wanted:
-    """What a caller of read_sequence asks of a recording. rig: auto, stereo, mono or rgbd; a mixed
-    one is stereo here. topics: of images, of a bag;
-    empty: found. calibration: whether one was named. imu: whether samples of one are to be used."""
+    """What a caller of read_sequence asks of a recording. rig: auto, stereo, mono, rgbd or mixed. topics: of images, of a bag;
+    empty: found. calibration: the file or folder that was named. imu: whether samples of one are to be used."""
 
     rig: str = "auto"
     max_frames: int = 0
     topics: SequenceOf[str] = ()
-    calibration: bool = False
+    calibration: str = ""
     progress: Progress = lambda images: None
     imu: bool = False
 

@@ -56,7 +56,7 @@ def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
     except ImportError:
         raise RuntimeError(f"{paths[0]}: videos are decoded by OpenCV, which is not installed: python -m pip install "
                            "opencv-python-headless") from None
-    if wanted.rig == "rgbd" or (wanted.rig == "stereo" and len(paths) == 1):
+    if wanted.rig == "rgbd" or (wanted.rig in ("stereo", "mixed") and len(paths) == 1):
         raise RuntimeError(f"{paths[0]}: the video of one camera: a pair is two videos, and none has depth images")
     lone = paths[0] if len(paths) == 1 else None
     if wanted.rig == "mono":

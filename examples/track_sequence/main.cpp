@@ -62,7 +62,7 @@ void print_recording(seq::sequence const& sequence, app::arguments const& a,
   for (auto const& [name, text] : seq::describe(sequence, a.imu != "off")) {
     std::cout << name << std::string(10 - name.size(), ' ') << text << "\n";
   }
-  if (o.rig.kind == ft::rig_kind::rgbd) {
+  if (sequence.depth_unit() > 0) {
     std::cout << "depth     taken from " << o.rig.min_depth << " to " << o.rig.max_depth << " m\n";
   }
   if (o.rig.kind == ft::rig_kind::monocular && !sequence.imu()) {

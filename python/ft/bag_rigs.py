@@ -66,7 +66,8 @@ def topics_of_chain(calibration: str) -> list[str]:
 
 
 def choose_rig(source: Path, streams: list[Stream], calibration: str, warnings: list[str]) -> list[Stream]:
-    """The cameras of a mixed rig: in the order of Kalibr's chain, else pairs first, left before right, then by name."""
+    """The cameras of a mixed rig: in the order of Kalibr's chain, else pairs first, left before right, then by name; behind
+    them the depth images in the frame of a camera that is in no pair."""
     cameras = of_one_transport([s for s in streams if not s.depth])
     if not calibration and any(s.info is not None for s in cameras):
         warnings += [f"{s.topic} is not taken: no {INFO_TYPE} is beside it" for s in cameras if s.info is None]
@@ -76,10 +77,31 @@ def choose_rig(source: Path, streams: list[Stream], calibration: str, warnings: 
                            f"{', '.join(s.named() for s in streams) or 'none'}")
     at = {s.topic: s for s in streams}
     listed = topics_of_chain(calibration)
-    if len(listed) > 1 and all(topic in at for topic in listed):
-        return [at[topic] for topic in listed]
     first = [s for pair in find_pairs(cameras) for s in pair]
-    return [*first, *(s for s in cameras if s not in first)]
+    if len(listed) > 1 and all(topic in at for topic in listed):
+        cameras = [at[topic] for topic in listed]
+    else:
+        cameras = [*first, *(s for s in cameras if s not in first)]
+    alone = {s.frame for s in cameras if s.frame} - {s.frame for s in first}
+    depths = {s.frame: s for s in streams if s.depth and s.frame in alone}
+    return [*cameras, *depths.values()]
+
+
+def folders_of(source: Path, chosen: list[Stream]) -> list[str]:
+    """For each of the topics cam0, cam1 ..., for depth images depth2 of the camera in whose frame they are."""
+    cameras = [s for s in chosen if not s.depth]
+    names = []
+    for stream in chosen:
+        if not stream.depth:
+            names.append(f"cam{cameras.index(stream)}")
+            continue
+        of = next((i for i, s in enumerate(cameras) if s.frame and s.frame == stream.frame), None)
+        if of is None:
+            raise RuntimeError(f"{source}: depth images of {stream.topic} are in the frame '{stream.frame}', that of no camera: "
+                               + ", ".join(f"{s.topic} '{s.frame}'" for s in cameras) + "; those of a rig must be registered "
+                               "to one of its cameras, and have its frame_id")
+        names.append(f"depth{of}")
+    return names
 
 
 def places_of(source: str, cameras: list[Stream], frames: Frames) -> list[Motion]:
@@ -110,8 +132,9 @@ def places_of(source: str, cameras: list[Stream], frames: Frames) -> list[Motion
     return [found[s.topic] for s in cameras]
 
 
-def write_rig(made: Unpacked, cameras: list[Stream], frames: Frames, imu_frame: str) -> bool:
+def write_rig(made: Unpacked, chosen: list[Stream], frames: Frames, imu_frame: str) -> bool:
     """The chain of all cameras, as Kalibr writes it. Returns whether the place of the IMU is in it."""
+    cameras = [s for s in chosen if not s.depth]
     without = [s.topic for s in cameras if s.info is None]
     if without:
         raise RuntimeError(f"{made.source}: no {INFO_TYPE} is beside {' and '.join(without)}: a calibration (calibration, "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TextIO
 from . import bag_images
 from .bag_calibration import INFO_TYPE, Stream, matrix, write_calibration
 from .bag_frames import read_frames, write_assumed_imu
-from .bag_rigs import choose_rig, pairs_by_name, write_rig
+from .bag_rigs import choose_rig, folders_of, pairs_by_name, write_rig
 from .unpacking import BAGS, Unpacked, Wanted, begin
 
 if TYPE_CHECKING:
@@ -138,13 +138,13 @@ class Writer:
     def __init__(self, made: Unpacked, chosen: list[Stream], mixed: bool, stack: ExitStack) -> None:
         self._made = made
         rgbd = len(chosen) == 2 and chosen[1].depth
-        names = (("rgb", "depth") if rgbd else [f"cam{i}" for i in range(len(chosen))] if mixed
+        names = (folders_of(Path(made.source), chosen) if mixed else ("rgb", "depth") if rgbd
                  else ("left", "right") if len(chosen) == 2 else ("images",))
         self._images = {}
         for stream, name in zip(chosen, names):
             (made.folder / name).mkdir()
             made.parts.update({name: f"{made.source}: {stream.topic}", f"{name}.txt": f"{made.source}: stamps of {stream.topic}"})
-            lists = stack.enter_context(open(made.folder / f"{name}.txt", "w")) if rgbd else None
+            lists = stack.enter_context(open(made.folder / f"{name}.txt", "w")) if rgbd and not mixed else None
             self._images[stream.topic] = bag_images.ImageWriter(made.folder / name, lists, stream.first, stream.topic)
         self._imu: TextIO | None = None
         self._stack = stack
@@ -220,10 +220,12 @@ def unpack_bag(path: Path, wanted: Wanted) -> Unpacked:
 def describe(made: Unpacked, reader: AnyReader, chosen: list[Stream], streams: list[Stream], imus: list[str],
              samples: int, wanted: Wanted) -> None:
     kind = "ROS 1 bag" if made.source.endswith(".bag") else "ROS 2 bag"
-    cameras = (", ".join(f"cam{i} {s.named()}" for i, s in enumerate(chosen)) if wanted.rig == "mixed"
+    mixed = wanted.rig == "mixed"
+    cameras = (", ".join(f"{n} {s.named()}" for n, s in zip(folders_of(Path(made.source), chosen), chosen)) if mixed
                else " and ".join(s.named() for s in chosen))
     made.what = f"{Path(made.source).name}, {kind}, {cameras}"
     made.stamps = "headers of the messages"
+    made.depth_unit = bag_images.MILLIMETRE if mixed and any(s.depth for s in chosen) else None
     if imus:
         made.added["imu"] = f"{samples} samples of {imus[0]}"
     else:
@@ -240,5 +242,5 @@ def describe(made: Unpacked, reader: AnyReader, chosen: list[Stream], streams: l
             for topic, connections in truths)
     others = [s.named() for s in streams if s not in chosen] + imus[1:]
     if others:
-        more = len(chosen) == 2 and any(not s.depth for s in streams if s not in chosen) and wanted.rig != "mixed"
+        more = len(chosen) == 2 and any(not s.depth for s in streams if s not in chosen) and not mixed
         made.added["left out"] = f"topics {', '.join(others)}{'; --rig mixed takes other cameras, too' if more else ''}"

@@ -52,6 +52,7 @@ class Unpacked:
     replaced: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     parts: dict[str, str] = field(default_factory=dict)  # what files and folders of the folder were, by their names
+    depth_unit: float | None = None  # metres, of depth images whose calibration does not say it
     missing: str = ""  # what the recording lacks where it holds no calibration
 
     def named(self, text: str) -> str:
@@ -83,6 +84,8 @@ class Unpacked:
                 text = f"{self.what}; calibration {self.calibration or text.rpartition('; calibration ')[2]}"
             elif name == "images" and self.stamps:
                 text = f"{text.rpartition('; times: ')[0]}; times: {self.stamps}"
+            elif name == "cameras" and self.depth_unit is not None:
+                text = text.replace("as asked for", "as bags have it")
             elif name in self.replaced and text != "not asked for":
                 text = self.replaced[name]
             elif name in self.added and text != "not asked for":

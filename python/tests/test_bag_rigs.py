@@ -126,3 +126,26 @@ def test_other_sizes_and_missing_camera_infos(walk, tmp_path):
         bag = Bag(tmp_path / "c", "bag")
         bag.image("/front/image", walk.frame(0)[0], FIRST_NS)
         ft.read_sequence(bag.close(), rig="mixed")
+
+
+def test_depth_images_belong_to_the_camera_of_their_frame(walk, tmp_path):
+    bag = Bag(tmp_path, "mcap")
+    bag.static(*BODY)
+    for i in range(FRAMES):
+        left, _, t = walk.frame(i)
+        for name, image, frame in (("rear", left, "left"), ("color", walk.images_at(i, UP, False)[0], "up")):
+            bag.info(f"/{name}/camera_info", time_ns=FIRST_NS + t)
+            bag.image(f"/{name}/image_raw", image, FIRST_NS + t, frame=frame)
+        bag.image("/aligned_depth_to_color/image_raw", walk.depth(i, UP[1]), FIRST_NS + t, "16UC1", frame="up")
+    path = bag.close()
+    sequence = ft.read_sequence(path, rig="mixed")
+    assert [c.has_depth for c in sequence.rig.cameras] == [True, False] and sequence.depth_unit == 0.001
+    lines = dict(sequence.describe())
+    assert "cam0 /color/image_raw (mono8), cam1 /rear/image_raw (mono8), depth0 /aligned_depth" in lines["sequence"]
+    assert "depth 0.001 m a unit, as bags have it" in lines["cameras"]
+    odometry = ft.Odometry(sequence.rig, WIDTH, HEIGHT, features=500, device="host")
+    for i, frame in enumerate(sequence):
+        pose = odometry.track(*frame.images, frame.time_ns)
+        assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+    with pytest.raises(RuntimeError, match="in the frame 'up', that of no camera: /rear/image_raw 'left'.*registered"):
+        ft.read_sequence(path, rig="mixed", topics=["/rear/image_raw", "/aligned_depth_to_color/image_raw"])

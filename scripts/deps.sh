@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Installs, with apt-get, what is missing to build ft. Sourced by the other scripts; on its own:
-#   scripts/deps.sh [build|test]
+#   scripts/deps.sh [build|python|test]
 # After it, `nvcc` is on the PATH where a CUDA toolkit is installed in one of the usual places.
 
 ft_build_packages=(build-essential cmake ninja-build ccache libtbb-dev libeigen3-dev libpng-dev
   libjpeg-dev libtiff-dev libyaml-cpp-dev nlohmann-json3-dev libcli11-dev)
-ft_test_packages=(libgtest-dev libbenchmark-dev libopencv-dev libceres-dev clang python3 python3-dev python3-venv pkg-config git)
+ft_python_packages=(python3 python3-dev python3-venv)
+ft_test_packages=("${ft_python_packages[@]}" libgtest-dev libbenchmark-dev libopencv-dev libceres-dev clang pkg-config git)
 # Not every release has them; without them the formatting is not checked, the documentation not made, the
 # evaluation not tested over MPI.
 ft_optional_packages=(clang-format-14 doxygen openmpi-bin libopenmpi-dev)
@@ -41,9 +42,10 @@ ft_as_root() {
   fi
 }
 
-# ft_install_missing build|test
+# ft_install_missing build|python|test
 ft_install_missing() {
   local wanted=("${ft_build_packages[@]}") missing optional=()
+  if [[ $1 == python ]]; then wanted+=("${ft_python_packages[@]}"); fi
   if [[ $1 == test ]]; then wanted+=("${ft_test_packages[@]}"); fi
 
   if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
@@ -149,7 +151,7 @@ ft_configure() {
 if [[ ${BASH_SOURCE[0]} == "$0" ]]; then
   set -euo pipefail
   case ${1:-build} in
-    build | test) ft_install_missing "${1:-build}" ;;
-    *) echo "usage: $0 [build|test]" >&2; exit 2 ;;
+    build | python | test) ft_install_missing "${1:-build}" ;;
+    *) echo "usage: $0 [build|python|test]" >&2; exit 2 ;;
   esac
 fi

@@ -42,6 +42,23 @@ ft_as_root() {
   fi
 }
 
+ft_quietly() { "$@" >/dev/null; }
+# ft_not_silent WHAT COMMAND...: a line every 40 s while a command runs that says nothing.
+ft_not_silent() {
+  local what=$1 begin=$SECONDS said=0 pid
+  shift
+  "$@" &
+  pid=$!
+  while kill -0 "$pid" 2>/dev/null; do
+    sleep 0.5
+    if ((SECONDS - begin >= said + 40)); then
+      said=$((SECONDS - begin))
+      echo "ft: $what: $said s"
+    fi
+  done
+  wait "$pid"
+}
+
 # ft_install_missing build|python|test
 ft_install_missing() {
   local wanted=("${ft_build_packages[@]}") missing optional=()
@@ -66,7 +83,7 @@ EOF
     echo "ft: 'apt-get update' failed; trying with the package lists at hand" >&2
   fi
   if ((${#missing[@]} > 0)) &&
-      ! ft_as_root apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null; then
+      ! ft_not_silent installing ft_quietly ft_as_root apt-get install -y -qq --no-install-recommends "${missing[@]}"; then
     cat >&2 <<EOF
 ft: could not install the missing packages (no network, or not allowed?). Please install them:
     sudo apt-get install ${missing[*]}

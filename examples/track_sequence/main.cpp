@@ -86,7 +86,9 @@ int run(app::arguments a, std::vector<std::string> const& words) {
   report.date = seq::utc_now();
   if (report.backend == "host") { report.threads = app::threads_of(setup); }
   print_recording(sequence, a, setup);
-  std::cout << "backend   " << report.backend << ", " << report.device << "\n";
+  bool const no_gpu = a.backend == "auto" && report.backend == "host";
+  std::cout << "backend   " << report.backend << ", " << report.device
+            << (no_gpu ? "; no GPU, or built without CUDA" : "") << "\n";
   for (std::string const& warning : report.calibration) {
     std::cout << "warning   calibration: " << warning << "\n";
   }

@@ -328,7 +328,9 @@ def track(arguments: argparse.Namespace) -> int:
     if sequence.depth_unit:
         most = float("inf") if arguments.max_depth is None else arguments.max_depth
         print(f"depth     taken from {arguments.min_depth:g} to {most:g} m")
-    print(f"backend   {backend_of(arguments.backend)}")
+    backend = backend_of(arguments.backend)
+    no_gpu = arguments.backend == "auto" and backend == "host"
+    print(f"backend   {backend}{'; no GPU, or built without CUDA' if no_gpu else ''}")
     calibration = [f"{found.name}: {found.text}" for found in ft.check_calibration(sequence.rig, sequence.width, sequence.height)]
     for text in calibration:
         print(f"warning   calibration: {text}")

@@ -13,7 +13,7 @@ Builds ft and tracks a stereo sequence. The first time it installs what is missi
 SEQUENCE_DIR is a folder in EuRoC (ASL) or KITTI odometry layout; without it, a sequence is generated, with ground truth.
 The GPU is used where there are one and a CUDA toolkit, else the CPU; '--backend host' asks for the CPU.
 The programs are built in build-demo/bin, for the CPU alone without a GPU, else for the GPU that is there. The
-report is written to build-demo/report. Ctrl-C ends the tracking with the report of what was tracked.
+report is written to build-demo/report, those of later runs to report-2, report-3 ... Ctrl-C ends the tracking with the report of what was tracked.
 
   scripts/demo.sh
   scripts/demo.sh ~/data/MH_01_easy/mav0
@@ -37,6 +37,10 @@ esac
 
 build=$ft_root/build-demo
 report=$build/report
+for ((run = 2; ; ++run)); do
+  if [[ ! -e $report ]]; then break; fi
+  report=$build/report-$run
+done
 
 ft_install_missing build
 options=(-DFT_ENABLE_CUDA=OFF)
@@ -49,6 +53,9 @@ else
     default) options=(-DFT_ENABLE_CUDA=ON -UFT_CUDA_ARCHITECTURES) ;;
     *) options=(-DFT_ENABLE_CUDA=ON "-DFT_CUDA_ARCHITECTURES=${gpus//$'\n'/;}") ;;
   esac
+fi
+if [[ ! -x $build/bin/track_sequence ]]; then
+  echo "ft: building the programs, $(ft_jobs) compilers at a time, a few minutes, the first time only"
 fi
 ft_configure "$build" "${options[@]}" -DFT_BUILD_EXAMPLES=ON -DFT_BUILD_TESTS=OFF -DFT_BUILD_BENCH=OFF
 cmake --build "$build" --parallel "$(ft_jobs)" --target track_sequence generate_sequence

@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # Installs, with apt-get, what is missing to build ft. Sourced by the other scripts; on its own:
-#   scripts/deps.sh [build|test]
+#   scripts/deps.sh [build|python|test]
 # After it, `nvcc` is on the PATH where a CUDA toolkit is installed in one of the usual places.
 
 ft_build_packages=(build-essential cmake ninja-build ccache libtbb-dev libeigen3-dev libpng-dev
-  libjpeg-dev libyaml-cpp-dev nlohmann-json3-dev libcli11-dev)
-ft_test_packages=(libgtest-dev libbenchmark-dev libopencv-dev libceres-dev clang python3 python3-dev python3-venv pkg-config git)
+  libjpeg-dev libtiff-dev libyaml-cpp-dev nlohmann-json3-dev libcli11-dev)
+ft_python_packages=(python3 python3-dev python3-venv)
+ft_test_packages=("${ft_python_packages[@]}" libgtest-dev libbenchmark-dev libopencv-dev libceres-dev clang pkg-config git)
 # Not every release has them; without them the formatting is not checked, the documentation not made, the
 # evaluation not tested over MPI.
 ft_optional_packages=(clang-format-14 doxygen openmpi-bin libopenmpi-dev)
@@ -41,9 +42,27 @@ ft_as_root() {
   fi
 }
 
-# ft_install_missing build|test
+ft_quietly() { "$@" >/dev/null; }
+# ft_not_silent WHAT COMMAND...: a line every 40 s while a command runs that says nothing.
+ft_not_silent() {
+  local what=$1 begin=$SECONDS said=0 pid
+  shift
+  "$@" &
+  pid=$!
+  while kill -0 "$pid" 2>/dev/null; do
+    sleep 0.5
+    if ((SECONDS - begin >= said + 40)); then
+      said=$((SECONDS - begin))
+      echo "ft: $what: $said s"
+    fi
+  done
+  wait "$pid"
+}
+
+# ft_install_missing build|python|test
 ft_install_missing() {
   local wanted=("${ft_build_packages[@]}") missing optional=()
+  if [[ $1 == python ]]; then wanted+=("${ft_python_packages[@]}"); fi
   if [[ $1 == test ]]; then wanted+=("${ft_test_packages[@]}"); fi
 
   if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
@@ -64,7 +83,7 @@ EOF
     echo "ft: 'apt-get update' failed; trying with the package lists at hand" >&2
   fi
   if ((${#missing[@]} > 0)) &&
-      ! ft_as_root apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null; then
+      ! ft_not_silent installing ft_quietly ft_as_root apt-get install -y -qq --no-install-recommends "${missing[@]}"; then
     cat >&2 <<EOF
 ft: could not install the missing packages (no network, or not allowed?). Please install them:
     sudo apt-get install ${missing[*]}
@@ -149,7 +168,7 @@ ft_configure() {
 if [[ ${BASH_SOURCE[0]} == "$0" ]]; then
   set -euo pipefail
   case ${1:-build} in
-    build | test) ft_install_missing "${1:-build}" ;;
-    *) echo "usage: $0 [build|test]" >&2; exit 2 ;;
+    build | python | test) ft_install_missing "${1:-build}" ;;
+    *) echo "usage: $0 [build|python|test]" >&2; exit 2 ;;
   esac
 fi

@@ -20,7 +20,7 @@ fi
 folder=build-fuzz
 fuzzers=(images containers cameras readers files)
 # What is left out takes the compiler a quarter of its time; where it leads to a wrong access AddressSanitizer finds it.
-flags=(-std=c++17 -O1 -g1 -Iinclude -I. -fsanitize=fuzzer,address,undefined,float-cast-overflow
+flags=(-std=c++17 -O1 -g1 -Iinclude -I. -DFT_SEQUENCE_TIFF=1 -fsanitize=fuzzer,address,undefined,float-cast-overflow
   -fno-sanitize=null,object-size,vptr,pointer-overflow -fno-sanitize-recover=all)
 mkdir -p "$folder"
 
@@ -33,7 +33,7 @@ fi
 compiler=(clang++)
 if command -v ccache >/dev/null; then compiler=(ccache clang++); fi
 
-readers_parts=(examples/sequence/{reader,recording_checks,recording_files,layout,layout_euroc,layout_folders,layout_kitti,layout_tum,ground_truth,imu_recording,stamps,calibration,calibration_basalt,calibration_checks,calibration_colmap,calibration_depthai,calibration_euroc,calibration_files,calibration_kalibr,calibration_kitti,calibration_opencv,calibration_orb_slam3,calibration_parts,calibration_realsense,calibration_tum,yaml_file,opencv_xml,trajectory_files,image_io,image_jpeg,image_png,image_raw,image_tiff,lens_projection,rectify,rig_cameras}.cpp)
+readers_parts=(examples/sequence/{reader,recording_checks,recording_files,layout,layout_euroc,layout_folder_names,layout_folders,layout_kitti,layout_tum,ground_truth,imu_recording,stamps,calibration,calibration_basalt,calibration_checks,calibration_colmap,calibration_depthai,calibration_euroc,calibration_files,calibration_kalibr,calibration_kitti,calibration_opencv,calibration_orb_slam3,calibration_parts,calibration_realsense,calibration_tum,yaml_file,opencv_xml,trajectory_files,image_io,image_jpeg,image_png,image_raw,image_tiff,lens_projection,rectify,rig_cameras}.cpp)
 
 # One unit: most of what the compiler does for each of them is the headers that they share.
 printf '#include "%s"\n' "${readers_parts[@]}" >"$folder/readers_parts.cpp"
@@ -52,7 +52,7 @@ link() {
   local name=$1 sources=(tests/fuzz/"$1"_fuzz.cpp) libraries=(-ltbb -lpthread) objects=() source
   if [[ $name == readers ]]; then
     sources+=("$folder/readers_parts.cpp")
-    libraries=(-lpng -ljpeg -lyaml-cpp -lpthread)
+    libraries=(-lpng -ljpeg -ltiff -lyaml-cpp -lpthread)
   fi
   for source in "${sources[@]}"; do objects+=("$(object_of "$source")"); done
   clang++ "${flags[@]}" "${objects[@]}" -o "$folder/${name}_fuzz" "${libraries[@]}"

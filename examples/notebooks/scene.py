@@ -2,6 +2,8 @@
 """Images for the notebooks: a stereo camera in a room with textured walls, drawn with NumPy, and a short sequence on disk,
 made by the program generate_sequence where it is found. Lengths are in metres, pixels count from the centre of the first."""
 
+from __future__ import annotations
+
 import os
 import shutil
 import struct
@@ -9,8 +11,13 @@ import subprocess
 import tempfile
 import zlib
 from pathlib import Path
+from typing import Optional
 
 import numpy as np
+from numpy.typing import NDArray
+
+Grey = NDArray[np.uint8]
+Reals = NDArray[np.float64]
 
 WIDTH, HEIGHT = 480, 320
 CAMERA = (300.0, 300.0, 239.5, 159.5)  # fx, fy, cx, cy
@@ -20,7 +27,7 @@ HALF_ROOM = np.array([3.0, 1.6, 6.0])  # x right, y down, z forward, as in a cam
 TEXEL = 0.02
 
 
-def walls(seed=1, size=640):
+def walls(seed: int = 1, size: int = 640) -> Reals:
     """Grey squares of several sizes, a little smoothed: (6, size, size)."""
     random = np.random.default_rng(seed)
     all_walls = np.full((6, size, size), 110.0)
@@ -34,7 +41,7 @@ def walls(seed=1, size=640):
     return all_walls
 
 
-def draw(textures, T_world_camera):
+def draw(textures: Reals, T_world_camera: Reals) -> tuple[Grey, Reals]:
     """What a pinhole camera sees: the image (height, width) uint8 and the depth along its axis, (height, width)."""
     fx, fy, cx, cy = CAMERA
     u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
@@ -55,7 +62,7 @@ def draw(textures, T_world_camera):
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), depth
 
 
-def pose(i):
+def pose(i: int) -> Reals:
     """T_world_camera of frame i: a walk forward that sways and turns."""
     turn = 0.3 * np.sin(0.06 * i)
     T = np.eye(4)
@@ -64,7 +71,7 @@ def pose(i):
     return T
 
 
-def pair(textures, i):
+def pair(textures: Reals, i: int) -> tuple[Grey, Grey, Reals]:
     """Left image, right image and left depth of frame i."""
     T = pose(i)
     left, depth = draw(textures, T)
@@ -72,9 +79,9 @@ def pair(textures, i):
     return left, draw(textures, T)[0], depth
 
 
-def write_png(file, image):
+def write_png(file: Path, image: Grey) -> None:
     """An 8-bit grey PNG."""
-    def chunk(name, data):
+    def chunk(name: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
     height, width = image.shape
@@ -83,7 +90,7 @@ def write_png(file, image):
                      + chunk(b"IDAT", zlib.compress(rows, 1)) + chunk(b"IEND", b""))
 
 
-def draw_sequence(folder, frames):
+def draw_sequence(folder: Path, frames: int) -> None:
     """Writes frames in KITTI's layout, with poses.txt as ground truth."""
     textures = walls()
     for camera in (0, 1):
@@ -98,7 +105,7 @@ def draw_sequence(folder, frames):
     np.savetxt(folder / "poses.txt", [pose(i)[:3].ravel() for i in range(frames)])
 
 
-def generator():
+def generator() -> Optional[str]:
     """The program generate_sequence: named by FT_GENERATE_SEQUENCE, on the path or in the build folder; or None."""
     named = os.environ.get("FT_GENERATE_SEQUENCE")
     if named is not None:
@@ -107,7 +114,7 @@ def generator():
     return shutil.which("generate_sequence") or (str(built) if built.exists() else None)
 
 
-def sequence(frames=24):
+def sequence(frames: int = 24) -> Path:
     """The folder of a new sequence, in the folder for temporary files. A generated camera is at
     rest in the first second."""
     folder = Path(tempfile.mkdtemp(prefix="ft_notebook_")) / "sequence"

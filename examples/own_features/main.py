@@ -7,36 +7,44 @@ ORB, AKAZE and SIFT. Prints the errors of all.
 Needs opencv-python-headless.
 """
 
+from __future__ import annotations
+
 import argparse
 import time
+from typing import Callable, Optional
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 import ft
 
+Found = Callable[[NDArray[np.uint8]], ft.ImageFeatures]
+
 # Of each the odometry's descriptors, the size of a keypoint whose position has a standard deviation of a pixel (None: its
 # octave tells), and the detector of n keypoints: with thresholds below OpenCV's defaults, by which images of little contrast
-# have too few.
-DETECTORS = {
-    "ORB": ("orb", None, lambda n: cv2.ORB_create(n, scaleFactor=1.2, nlevels=8, fastThreshold=7)),
-    "AKAZE": ("bits_512", 4.8, lambda n: cv2.AKAZE_create(threshold=1e-4)),
-    "SIFT": ("int8_128", 3.2, lambda n: cv2.SIFT_create(n, contrastThreshold=0.02)),
+# have too few. Not every OpenCV has AKAZE.
+DETECTORS: dict[str, tuple[str, Optional[float], Callable[[int], cv2.Feature2D]]] = {
+    "ORB": ("orb", None, lambda n: cv2.ORB.create(n, scaleFactor=1.2, nlevels=8, fastThreshold=7)),
+    "AKAZE": ("bits_512", 4.8, lambda n: getattr(cv2, "AKAZE").create(threshold=1e-4)),
+    "SIFT": ("int8_128", 3.2, lambda n: cv2.SIFT.create(n, contrastThreshold=0.02)),
 }
 
 
-def features_of(found, frame, unit):
+def features_of(found: Found, frame: ft.Frame, unit: Optional[float]) -> tuple[ft.ImageFeatures, ...]:
     """Of a pair those of both images: ft finds partners by descriptors. Of a camera with depth images the depths, too."""
     left = found(frame.left)
     if frame.right.dtype == np.uint8:
         return left, found(frame.right)
-    columns, rows = left.positions.astype(int).T
-    left.depth = unit * frame.right[rows, columns].astype(np.float32)
+    columns, rows = np.asarray(left.positions).astype(int).T
+    assert unit is not None
+    left.depth = np.float32(unit) * frame.right[rows, columns]
     return (left,)
 
 
-def follow(sequence, name, track):
-    poses, spent, inliers = [], 0.0, []
+def follow(sequence: ft.Sequence, name: str, track: Callable[[ft.Frame], ft.Tracking]) -> None:
+    poses: list[tuple[int, NDArray[np.float64]]] = []
+    spent, inliers = 0.0, []
     for frame in sequence:
         begin = time.perf_counter()
         pose = track(frame)
@@ -50,32 +58,32 @@ def follow(sequence, name, track):
           f"{'-' if error is None else f'{error:7.3f} m':>10} {1e3 * spent / of:8.1f} ms", flush=True)
 
 
-def main():
-    arguments = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     arguments.add_argument("folder")
     arguments.add_argument("--features", type=int, default=1200)
     arguments.add_argument("--device", default="auto")
     given = arguments.parse_args()
     sequence = ft.read_sequence(given.folder)
-    options = {"features": given.features, "device": given.device}
-    size = sequence.width, sequence.height
+    width, height, features, device = sequence.width, sequence.height, int(given.features), str(given.device)
     unit = getattr(sequence.rig, "depth_scale", None)  # metres
     print(f"{'keypoints':22} {'tracked':>12} {'maps':>5} {'inliers':>8} {'ATE':>10} {'a frame':>11}")
 
-    images = ft.Odometry(sequence.rig, *size, **options)
+    images = ft.Odometry(sequence.rig, width, height, features=features, device=device)
     follow(sequence, "ft, of images", lambda frame: images.track(*frame.images, frame.time_ns))
 
     for name, (descriptors, pixel_size, make) in DETECTORS.items():
-        if not hasattr(cv2, f"{name}_create"):
+        if not hasattr(cv2, name):
             print(f"{name}: not in this OpenCV")
             continue
-        detector = make(given.features)
-        odometry = ft.Odometry(sequence.rig, *size, own_features=True, descriptors=descriptors, **options)
+        detector = make(features)
+        odometry = ft.Odometry(sequence.rig, width, height, features=features, device=device, own_features=True,
+                               descriptors=descriptors)
 
-        def found(image):
+        def found(image: NDArray[np.uint8]) -> ft.ImageFeatures:
             return ft.ImageFeatures.from_cv2(*detector.detectAndCompute(image, None), pixel_size=pixel_size)
 
-        follow(sequence, f"cv2.{name}_create", lambda f: odometry.track_features(*features_of(found, f, unit), f.time_ns))
+        follow(sequence, f"cv2.{name}", lambda f: odometry.track_features(*features_of(found, f, unit), f.time_ns))
 
 
 if __name__ == "__main__":

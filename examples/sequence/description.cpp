@@ -43,7 +43,8 @@ std::string layout_line(sequence const& s) {
 }
 
 /// Of a rig whose images are taken as they are.
-std::string rig_line(stereo_rig const& rig) {
+std::string rig_line(sequence const& s) {
+  stereo_rig const& rig = s.raw_rig();
   std::vector<rig_camera> const all = rig_cameras(rig);
   std::string line = std::to_string(all.size()) + " cameras, " + std::to_string(rig.left.width) +
                      "x" + std::to_string(rig.left.height);
@@ -54,17 +55,21 @@ std::string rig_line(stereo_rig const& rig) {
   for (std::size_t k = 0; k < all.size(); ++k) {
     if (right[k]) { continue; }
     line += "; cam" + std::to_string(k) + " " + lens_name(all[k].camera);
+    if (all[k].has_depth) { line += " with depth images"; }
     if (all[k].right < 0) { continue; }
     rig_camera const& other = all[static_cast<std::size_t>(all[k].right)];
     double const apart = (all[k].T_left_this.inverse() * other.T_left_this).translation().norm();
     line += " and cam" + std::to_string(all[k].right) + " " + lens_name(other.camera) + ", " +
             to_text(apart) + " m apart";
   }
+  if (s.depth_unit() > 0) {
+    line += "; depth " + to_text(s.depth_unit()) + " m a unit, " + s.depth_unit_from();
+  }
   return line;
 }
 
 std::string cameras_line(sequence const& s) {
-  if (s.mixed()) { return rig_line(s.raw_rig()); }
+  if (s.mixed()) { return rig_line(s); }
   stereo_rig const& raw = s.raw_rig();
   bool const pair = s.kind() == camera_kind::stereo;
   std::string line = pair                            ? "stereo pair"

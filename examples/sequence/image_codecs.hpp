@@ -19,6 +19,8 @@ bool is_jpeg(std::vector<std::uint8_t> const& bytes);
 bool is_pnm(std::vector<std::uint8_t> const& bytes);  ///< binary PGM or PPM
 bool is_bmp(std::vector<std::uint8_t> const& bytes);
 bool is_tiff(std::vector<std::uint8_t> const& bytes);
+/// Whether this build has libtiff.
+bool reads_tiff();
 /// A PNG of one channel with 16 bits, alpha aside.
 bool is_png_of_16_bits(std::vector<std::uint8_t> const& bytes);
 
@@ -29,7 +31,7 @@ image read_pnm(std::string const& path, std::vector<std::uint8_t> const& bytes);
 image read_bmp(std::string const& path, std::vector<std::uint8_t> const& bytes);
 image read_tiff(std::string const& path, std::vector<std::uint8_t> const& bytes);
 
-/// Samples of a TIFF as they are, row-major, those of a pixel side by side; black is 0.
+/// Samples of a TIFF, row-major, those of a pixel side by side: one or three; black is 0.
 struct tiff_samples {
   int width = 0, height = 0, channels = 1, bits = 8;
   std::vector<std::uint16_t> values;

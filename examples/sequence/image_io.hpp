@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Reads and writes image files: PNG and JPEG with libpng and libjpeg; reads PGM, PPM, BMP,
-/// TIFF.
+/// and TIFF if the build has libtiff.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +15,7 @@ namespace seq {
 /// is decoded to RGB and converted as OpenCV does it (examples/sequence/grey.hpp), 16-bit samples
 /// keep their high byte, those of a PGM with another largest value (1023, 4095) are scaled by it,
 /// alpha is ignored. Bytes after the end of a JPEG, and extra bytes between its segments, are
-/// skipped. A TIFF has strips, and no compression, LZW or PackBits.
+/// skipped.
 /// @param bits that hold the 16-bit samples of a PNG or TIFF of one channel, 8 to 16; larger
 ///   samples are white
 /// @throws seq::error naming the file: missing, not an image, damaged, truncated, or larger than

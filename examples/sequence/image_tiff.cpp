@@ -1,297 +1,251 @@
 // SPDX-License-Identifier: Apache-2.0
-// TIFF as cameras and OpenCV write it: strips, without compression, or with LZW or PackBits.
-// Source: TIFF, revision 6.0, Adobe, 1992, sections 2 to 9, 13, 14.
+// TIFF by libtiff. Samples of 8 and 16 bits, grey or RGB, are taken as they are stored; what else
+// libtiff knows (palettes, JPEG, single bits) as the colours that it makes of it. Cameras write
+// strips.
 #include <algorithm>
+#include <cstdarg>
 #include <cstddef>
+#include <cstdint>
+#include <cstdio>
+#include <memory>
 #include <string>
+#include <vector>
 
 #include "examples/sequence/grey.hpp"
 #include "examples/sequence/image_codecs.hpp"
 
+#if FT_SEQUENCE_TIFF
+#include <tiffio.h>
+#endif
+
 namespace seq::detail {
+
+bool is_tiff(std::vector<std::uint8_t> const& b) {  // 43: BigTIFF
+  return b.size() > 4 && ((b[0] == 'I' && b[1] == 'I' && (b[2] == 42 || b[2] == 43) && b[3] == 0) ||
+                          (b[0] == 'M' && b[1] == 'M' && b[2] == 0 && (b[3] == 42 || b[3] == 43)));
+}
+
+#if FT_SEQUENCE_TIFF
+
+bool reads_tiff() { return true; }
+
 namespace {
 
-using bytes_of = std::vector<std::uint8_t>;
-
-enum tag : unsigned {
-  wide = 256,
-  high = 257,
-  bits_of_samples = 258,
-  compression = 259,
-  photometric = 262,
-  fill_order = 266,
-  strip_offsets = 273,
-  samples_of_pixel = 277,
-  rows_of_strip = 278,
-  strip_bytes = 279,
-  planar = 284,
-  predictor = 317,
-  tile_width = 322,
-  sample_format = 339,
-};
-enum scheme : unsigned { plain = 1, lzw = 5, pack_bits = 32773 };
-
-/// The numbers of a file's first directory.
-class directory {
-public:
-  directory(std::string const& path, bytes_of const& b) : path_(path), b_(b), little_(b[0] == 'I') {
-    if (b.size() < 8) { damaged(); }
-    std::size_t const at = number(4, 4);
-    require(at, 2);
-    count_ = number(at, 2);
-    first_ = at + 2;
-    require(first_, 12 * count_);
-  }
-
-  bool little() const { return little_; }
-  std::vector<std::size_t> values(unsigned wanted) const {
-    for (std::size_t i = 0; i < count_; ++i) {
-      std::size_t const at = first_ + 12 * i;
-      if (number(at, 2) != wanted) { continue; }
-      std::size_t const type = number(at + 2, 2);  // 1 byte, 3 short, 4 long
-      int const size = type == 1 ? 1 : type == 3 ? 2 : type == 4 ? 4 : 0;
-      std::size_t const n = number(at + 4, 4);
-      if (size == 0 || n == 0 || n > b_.size()) { damaged(); }
-      std::size_t const bytes = n * static_cast<std::size_t>(size);
-      std::size_t from = at + 8;
-      if (bytes > 4) { from = number(at + 8, 4); }
-      require(from, bytes);
-      std::vector<std::size_t> all;
-      for (std::size_t k = 0; k < n; ++k) {
-        all.push_back(number(from + k * static_cast<std::size_t>(size), size));
-      }
-      return all;
-    }
-    return {};
-  }
-  std::size_t value(unsigned wanted, std::size_t otherwise) const {
-    std::vector<std::size_t> const all = values(wanted);
-    return all.empty() ? otherwise : all[0];
-  }
-  [[noreturn]] void damaged() const { fail(path_, "damaged or truncated TIFF"); }
-
-private:
-  void require(std::size_t from, std::size_t bytes) const {
-    if (from > b_.size() || b_.size() - from < bytes) { damaged(); }
-  }
-  /// @pre the bytes are there
-  std::size_t number(std::size_t at, int bytes) const {
-    std::size_t value = 0;
-    for (int i = 0; i < bytes; ++i) {
-      int const k = little_ ? bytes - 1 - i : i;
-      value = value << 8 | b_[at + static_cast<std::size_t>(k)];
-    }
-    return value;
-  }
-
-  std::string const& path_;
-  bytes_of const& b_;
-  bool little_;
-  std::size_t count_ = 0, first_ = 0;
+/// A file in memory, as libtiff reads it.
+struct tiff_memory {
+  std::vector<std::uint8_t> const& bytes;
+  std::size_t at = 0;
+  std::string complaint = {};  ///< libtiff's first one
 };
 
-struct layout {
-  std::size_t width = 0, height = 0, channels = 0, bits = 0, rows = 0;
-  std::size_t packing = plain;
-  bool differences = false;  ///< a sample is the difference to the one on its left
-  bool white_is_zero = false;
-  std::vector<std::size_t> offsets, bytes;
+tiff_memory& memory_of(thandle_t handle) { return *static_cast<tiff_memory*>(handle); }
 
-  std::size_t row_bytes() const { return width * channels * (bits / 8); }
+tmsize_t read_some(thandle_t handle, void* to, tmsize_t wanted) {
+  tiff_memory& m = memory_of(handle);
+  std::size_t const left = m.at < m.bytes.size() ? m.bytes.size() - m.at : 0;
+  std::size_t const count = std::min(left, static_cast<std::size_t>(std::max<tmsize_t>(wanted, 0)));
+  std::copy_n(m.bytes.data() + (left == 0 ? 0 : m.at), count, static_cast<std::uint8_t*>(to));
+  m.at += count;
+  return static_cast<tmsize_t>(count);
+}
+
+tmsize_t write_nothing(thandle_t, void*, tmsize_t) { return 0; }
+
+toff_t seek_in(thandle_t handle, toff_t to, int from) {
+  tiff_memory& m = memory_of(handle);
+  m.at = static_cast<std::size_t>(to) + (from == SEEK_CUR   ? m.at
+                                         : from == SEEK_END ? m.bytes.size()
+                                                            : 0);
+  return m.at;
+}
+
+int close_nothing(thandle_t) { return 0; }
+toff_t size_of(thandle_t handle) { return memory_of(handle).bytes.size(); }
+
+struct closer {
+  void operator()(TIFF* file) const { TIFFClose(file); }
+};
+using tiff_file = std::unique_ptr<TIFF, closer>;
+
+[[noreturn]] void fail_damaged(std::string const& path, tiff_memory const& m) {
+  fail(path, "damaged or truncated TIFF" + (m.complaint.empty() ? "" : ": " + m.complaint));
+}
+
+#if TIFFLIB_VERSION >= 20221213  // 4.5.0; older ones print to stderr what they complain of
+int keep_complaint(TIFF*, void* handle, char const*, char const* format, va_list arguments) {
+  tiff_memory& m = *static_cast<tiff_memory*>(handle);
+  char text[200];
+  std::vsnprintf(text, sizeof text, format, arguments);
+  if (m.complaint.empty()) { m.complaint = text; }
+  return 1;  // and nobody else says it
+}
+int say_nothing(TIFF*, void*, char const*, char const*, va_list) { return 1; }
+#endif
+
+tiff_file open_tiff(std::string const& path, tiff_memory& m) {
+  constexpr char const* mode = "rm";  // not mapped
+#if TIFFLIB_VERSION >= 20221213
+  std::unique_ptr<TIFFOpenOptions, void (*)(TIFFOpenOptions*)> const options(TIFFOpenOptionsAlloc(),
+                                                                             TIFFOpenOptionsFree);
+  TIFFOpenOptionsSetErrorHandlerExtR(options.get(), keep_complaint, &m);
+  TIFFOpenOptionsSetWarningHandlerExtR(options.get(), say_nothing, &m);
+  tiff_file file(TIFFClientOpenExt(path.c_str(), mode, &m, read_some, write_nothing, seek_in,
+                                   close_nothing, size_of, nullptr, nullptr, options.get()));
+#else
+  tiff_file file(TIFFClientOpen(path.c_str(), mode, &m, read_some, write_nothing, seek_in,
+                                close_nothing, size_of, nullptr, nullptr));
+#endif
+  if (!file) { fail_damaged(path, m); }
+  return file;
+}
+
+template <typename T>
+T tiff_value(tiff_file const& file, std::uint32_t tag, T otherwise) {
+  T v{};
+  return TIFFGetFieldDefaulted(file.get(), tag, &v) == 1 ? v : otherwise;
+}
+
+struct tiff_layout {
+  std::uint32_t width = 0, height = 0;
+  std::uint16_t samples = 1, bits = 1, colours = PHOTOMETRIC_MINISBLACK;
+  bool planes = false;
+
+  bool grey() const { return colours <= PHOTOMETRIC_MINISBLACK; }
+  /// Whether rows of samples are taken as they are stored.
+  bool as_stored() const {
+    bool const known = grey() || (colours == PHOTOMETRIC_RGB && samples >= 3);
+    return known && (bits == 8 || bits == 16);
+  }
 };
 
-layout read_layout(std::string const& path, directory const& d) {
-  layout l;
-  l.width = d.value(wide, 0);
-  l.height = d.value(high, 0);
+tiff_layout read_tiff_layout(std::string const& path, tiff_memory const& m, tiff_file const& file) {
+  tiff_layout l;
+  l.width = tiff_value<std::uint32_t>(file, TIFFTAG_IMAGEWIDTH, 0);
+  l.height = tiff_value<std::uint32_t>(file, TIFFTAG_IMAGELENGTH, 0);
   check_side(path, l.width, l.height);
+  l.samples = tiff_value<std::uint16_t>(file, TIFFTAG_SAMPLESPERPIXEL, 1);
+  l.bits = tiff_value<std::uint16_t>(file, TIFFTAG_BITSPERSAMPLE, 1);
+  l.colours = tiff_value<std::uint16_t>(file, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_MINISBLACK);
+  l.planes = tiff_value<std::uint16_t>(file, TIFFTAG_PLANARCONFIG, 1) == PLANARCONFIG_SEPARATE;
   auto const refuse = [&](std::string const& what) {
-    fail(path, "TIFF " + what +
-                   "; must have strips of 1, 3 or 4 samples of 8 or 16 bits, side by side, grey or "
-                   "RGB, and no compression, LZW or PackBits");
+    fail(path,
+         "TIFF " + what + "; must have strips of whole numbers of at most 16 bits, grey or colour");
   };
-  std::size_t const colours = d.value(photometric, 1);
-  std::vector<std::size_t> const bits = d.values(bits_of_samples);
-  l.bits = bits.empty() ? 1 : bits[0];
-  l.channels = d.value(samples_of_pixel, 1);
-  l.packing = d.value(compression, plain);
-  l.white_is_zero = colours == 0;
-  l.differences = d.value(predictor, 1) == 2;
-  bool const grey = colours <= 1 && l.channels == 1;
-  bool const colour = colours == 2 && (l.channels == 3 || l.channels == 4);
-  if (!grey && !colour) {
-    refuse("of " + std::to_string(l.channels) + " samples a pixel, colours of type " +
-           std::to_string(colours));
+  if (TIFFIsTiled(file.get()) != 0) { refuse("of tiles"); }
+  std::uint16_t const format = tiff_value<std::uint16_t>(file, TIFFTAG_SAMPLEFORMAT, 1);
+  if (format != SAMPLEFORMAT_UINT && format != SAMPLEFORMAT_VOID) {
+    refuse("of numbers with signs or fractions");
   }
-  bool const equal = std::all_of(bits.begin(), bits.end(), [&](auto n) { return n == l.bits; });
-  if ((l.bits != 8 && l.bits != 16) || !equal) { refuse("of " + std::to_string(l.bits) + " bits"); }
-  if (l.packing != plain && l.packing != lzw && l.packing != pack_bits) {
-    refuse("with compression " + std::to_string(l.packing));
+  if (l.samples == 0 || l.samples > 16) { refuse("of " + std::to_string(l.samples) + " samples"); }
+  if (l.bits > 8 && !l.as_stored()) {
+    refuse("of " + std::to_string(l.bits) + " bits, colours of type " + std::to_string(l.colours));
   }
-  if (d.value(tile_width, 0) != 0) { refuse("of tiles"); }
-  if (l.channels > 1 && d.value(planar, 1) != 1) { refuse("with planes"); }
-  if (d.value(predictor, 1) > 2) { refuse("with predictor 3"); }
-  if (l.differences && l.packing != lzw) { refuse("with a predictor and no LZW"); }
-  if (d.value(fill_order, 1) != 1) { refuse("with the lowest bit first"); }
-  if (d.value(sample_format, 1) != 1) { refuse("of numbers with signs or fractions"); }
-  l.rows = std::min(d.value(rows_of_strip, l.height), l.height);
-  l.offsets = d.values(strip_offsets);
-  l.bytes = d.values(strip_bytes);
-  std::size_t const strips = l.rows == 0 ? 0 : (l.height + l.rows - 1) / l.rows;
-  if (strips == 0 || l.offsets.size() != strips || l.bytes.size() != strips) { d.damaged(); }
+  char reason[1024] = "";
+  if (!l.as_stored() && TIFFRGBAImageOK(file.get(), reason) == 0) { refuse(std::string(reason)); }
+  // Strips that overlap, or a size out of nowhere, would grow a short file without bound.
+  std::uint64_t all = 0;
+  std::uint32_t const pieces = TIFFNumberOfStrips(file.get());
+  for (std::uint32_t i = 0; i < pieces && all <= m.bytes.size(); ++i) {
+    all += TIFFGetStrileByteCount(file.get(), i);
+  }
+  constexpr std::uint64_t most_of_byte = 16384;  // pixels; black ones take Deflate half as many
+  bool const enough = std::uint64_t{l.width} * l.height / most_of_byte <= m.bytes.size();
+  if (pieces == 0 || all == 0 || all > m.bytes.size() || !enough) { fail_damaged(path, m); }
   return l;
 }
 
-/// Appends what the bytes hold, up to `most` in all. False where they are damaged.
-bool unpack_bits(std::uint8_t const* from, std::uint8_t const* end, std::size_t most,
-                 bytes_of& out) {
-  while (out.size() < most && from < end) {
-    int const n = *from++;
-    if (n == 128) { continue; }
-    std::size_t const count = static_cast<std::size_t>(n < 128 ? n + 1 : 257 - n);
-    if (n < 128) {
-      if (static_cast<std::size_t>(end - from) < count) { return false; }
-      out.insert(out.end(), from, from + count);
-      from += count;
-    } else {
-      if (from == end) { return false; }
-      out.insert(out.end(), count, *from++);
+/// The first channel of a grey image, the first three of a colour one; others are alpha.
+tiff_samples read_stored(std::string const& path, tiff_memory const& m, tiff_file const& file,
+                         tiff_layout const& l) {
+  tiff_samples out;
+  out.width = static_cast<int>(l.width);
+  out.height = static_cast<int>(l.height);
+  out.channels = l.grey() ? 1 : 3;
+  out.bits = l.bits;
+  auto const channels = static_cast<std::size_t>(out.channels);
+  std::size_t const stored = l.planes ? 1 : l.samples;  // of a pixel in a row
+  auto const bytes = static_cast<std::size_t>(TIFFScanlineSize64(file.get()));
+  if (bytes < l.width * stored * (l.bits / 8U)) { fail_damaged(path, m); }
+  std::vector<std::uint16_t> row(bytes / 2 + 1);
+  auto const sample = [&](std::size_t i) -> unsigned {
+    return l.bits == 16 ? row[i] : reinterpret_cast<std::uint8_t const*>(row.data())[i];
+  };
+  unsigned const largest = (1U << l.bits) - 1;
+  for (std::uint16_t plane = 0; plane < (l.planes ? channels : 1); ++plane) {
+    for (std::uint32_t y = 0; y < l.height; ++y) {
+      if (TIFFReadScanline(file.get(), row.data(), y, plane) != 1) { fail_damaged(path, m); }
+      if (plane == 0) { out.values.resize(out.values.size() + l.width * channels); }
+      std::uint16_t* const to = out.values.data() + std::size_t{y} * l.width * channels;
+      for (std::size_t x = 0; x < l.width; ++x) {
+        for (std::size_t c = plane; c < (l.planes ? plane + 1U : channels); ++c) {
+          unsigned const v = sample(x * stored + (l.planes ? 0 : c));
+          bool const inverted = l.colours == PHOTOMETRIC_MINISWHITE;
+          to[x * channels + c] = static_cast<std::uint16_t>(inverted ? largest - v : v);
+        }
+      }
     }
   }
-  return out.size() >= most;
+  return out;
 }
 
-/// LZW with codes of 9 to 12 bits, the highest bit first; the width grows a code early.
-class lzw_decoder {
-public:
-  bool unpack(std::uint8_t const* from, std::uint8_t const* end, std::size_t most, bytes_of& out) {
-    constexpr unsigned clear = 256, last = 257;
-    unsigned held = 0;  // bits that were read and not used
-    int bits = 0;
-    int width = 9;
-    unsigned before = none;
-    while (out.size() < most) {
-      while (bits < width) {
-        if (from == end) { return false; }
-        held = held << 8 | *from++;
-        bits += 8;
-      }
-      bits -= width;
-      unsigned const code = held >> bits & ((1U << width) - 1);
-      held &= (1U << bits) - 1;
-      if (code == last) { return false; }
-      if (code == clear) {
-        next_ = 258;
-        width = 9;
-        before = none;
-        continue;
-      }
-      std::size_t const begin = out.size();
-      if (!append(code, before, out)) { return false; }
-      if (before != none && next_ < codes) {
-        start_[next_] = last_begin_;  // the string before, and the first byte of this one behind it
-        length_[next_++] = begin - last_begin_ + 1;
-      }
-      last_begin_ = begin;
-      before = code;
-      if (next_ + 1 >= 1U << width && width < 12) { ++width; }
-    }
-    return true;
+/// Three channels of 8 bits, as libtiff makes them.
+tiff_samples read_converted(std::string const& path, tiff_memory const& m, tiff_file const& file,
+                            tiff_layout const& l) {
+  std::size_t const pixels = std::size_t{l.width} * l.height;
+  std::vector<std::uint32_t> colours(pixels);
+  if (TIFFReadRGBAImageOriented(file.get(), l.width, l.height, colours.data(), ORIENTATION_TOPLEFT,
+                                1) != 1) {
+    fail_damaged(path, m);
   }
-
-private:
-  static constexpr unsigned codes = 4096;
-  static constexpr unsigned none = codes;
-
-  bool append(unsigned code, unsigned before, bytes_of& out) const {
-    if (code < 256) {
-      out.push_back(static_cast<std::uint8_t>(code));
-      return true;
+  tiff_samples out{static_cast<int>(l.width), static_cast<int>(l.height), 3, 8, {}};
+  out.values.reserve(3 * pixels);
+  for (std::uint32_t const c : colours) {
+    for (unsigned const v : {TIFFGetR(c), TIFFGetG(c), TIFFGetB(c)}) {
+      out.values.push_back(static_cast<std::uint16_t>(v));
     }
-    bool const known = code < next_;
-    if (before == none || (!known && (code != next_ || next_ >= codes))) { return false; }
-    std::size_t const from = known ? start_[code] : last_begin_;
-    std::size_t const length = known ? length_[code] : out.size() - last_begin_ + 1;
-    for (std::size_t i = 0; i < length; ++i) { out.push_back(out[from + i]); }
-    return true;
-  }
-
-  std::size_t start_[codes] = {};  ///< in the output, of a code's string
-  std::size_t length_[codes] = {};
-  std::size_t last_begin_ = 0;
-  unsigned next_ = 258;
-};
-
-/// The bytes of all rows.
-bytes_of unpacked(bytes_of const& b, layout const& l, directory const& d) {
-  bytes_of out;
-  std::size_t left = b.size();  // strips that overlap would grow a short file without bound
-  for (std::size_t s = 0; s < l.offsets.size(); ++s) {
-    if (l.bytes[s] > left) { d.damaged(); }
-    left -= l.bytes[s];
-    std::size_t const rows = std::min(l.rows, l.height - s * l.rows);
-    std::size_t const most = out.size() + rows * l.row_bytes();
-    if (l.offsets[s] > b.size() || b.size() - l.offsets[s] < l.bytes[s]) { d.damaged(); }
-    std::uint8_t const* const from = b.data() + l.offsets[s];
-    std::uint8_t const* const end = from + l.bytes[s];
-    bool whole = false;
-    if (l.packing == plain) {
-      whole = l.bytes[s] >= most - out.size();
-      if (whole) { out.insert(out.end(), from, from + (most - out.size())); }
-    } else if (l.packing == pack_bits) {
-      whole = unpack_bits(from, end, most, out);
-    } else {
-      whole = lzw_decoder().unpack(from, end, most, out);
-    }
-    if (!whole) { d.damaged(); }
-    out.resize(most);
   }
   return out;
 }
 
 }  // namespace
 
-bool is_tiff(bytes_of const& b) {
-  return b.size() > 4 && ((b[0] == 'I' && b[1] == 'I' && b[2] == 42 && b[3] == 0) ||
-                          (b[0] == 'M' && b[1] == 'M' && b[2] == 0 && b[3] == 42));
-}
-
-void read_tiff_size(std::string const& path, bytes_of const& bytes, int& width, int& height) {
-  layout const l = read_layout(path, directory(path, bytes));
+void read_tiff_size(std::string const& path, std::vector<std::uint8_t> const& bytes, int& width,
+                    int& height) {
+  tiff_memory m{bytes};
+  tiff_layout const l = read_tiff_layout(path, m, open_tiff(path, m));
   width = static_cast<int>(l.width);
   height = static_cast<int>(l.height);
 }
 
-tiff_samples read_tiff_samples(std::string const& path, bytes_of const& bytes) {
-  directory const d(path, bytes);
-  layout const l = read_layout(path, d);
-  bytes_of const packed = unpacked(bytes, l, d);
-  tiff_samples out;
-  out.width = static_cast<int>(l.width);
-  out.height = static_cast<int>(l.height);
-  out.channels = static_cast<int>(l.channels);
-  out.bits = static_cast<int>(l.bits);
-  std::size_t const count = l.width * l.channels * l.height;
-  out.values.resize(count);
-  unsigned const largest = (1U << l.bits) - 1;
-  for (std::size_t i = 0; i < count; ++i) {
-    unsigned value = packed[i];
-    if (l.bits == 16) {
-      unsigned const first = packed[2 * i];
-      unsigned const second = packed[2 * i + 1];
-      value = d.little() ? second << 8 | first : first << 8 | second;
-    }
-    bool const has_left = i % (l.width * l.channels) >= l.channels;
-    if (l.differences && has_left) { value = (value + out.values[i - l.channels]) & largest; }
-    out.values[i] = static_cast<std::uint16_t>(value);
-  }
-  if (l.white_is_zero) {
-    for (std::uint16_t& value : out.values) { value = static_cast<std::uint16_t>(largest - value); }
-  }
-  return out;
+tiff_samples read_tiff_samples(std::string const& path, std::vector<std::uint8_t> const& bytes) {
+  tiff_memory m{bytes};
+  tiff_file const file = open_tiff(path, m);
+  tiff_layout const l = read_tiff_layout(path, m, file);
+  return l.as_stored() ? read_stored(path, m, file, l) : read_converted(path, m, file, l);
 }
 
-image read_tiff(std::string const& path, bytes_of const& bytes) {
+#else  // without libtiff
+
+bool reads_tiff() { return false; }
+
+namespace {
+[[noreturn]] void refuse_tiff(std::string const& path) {
+  fail(path,
+       "TIFF, and this build has no libtiff: install it (libtiff-dev) and build again, or convert "
+       "the images to PNG; read here are PNG, JPEG, binary PGM and PPM, and BMP");
+}
+}  // namespace
+
+void read_tiff_size(std::string const& path, std::vector<std::uint8_t> const&, int&, int&) {
+  refuse_tiff(path);
+}
+tiff_samples read_tiff_samples(std::string const& path, std::vector<std::uint8_t> const&) {
+  refuse_tiff(path);
+}
+
+#endif
+
+image read_tiff(std::string const& path, std::vector<std::uint8_t> const& bytes) {
   tiff_samples const s = read_tiff_samples(path, bytes);
   image out{s.width, s.height, {}};
   auto const channels = static_cast<std::size_t>(s.channels);

@@ -108,7 +108,9 @@ void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& 
 
 namespace {
 
-void add_camera(camera_images const& camera, std::int64_t most_ns, layout_of_files& layout) {
+/// For each frame the image that is nearest to its time; empty where none is within the limit.
+std::vector<std::string> at_frames(camera_images const& camera, std::int64_t most_ns,
+                                   char const* without, layout_of_files& layout) {
   std::vector<listed_image> const there = present(camera.images);
   std::vector<std::int64_t> times;
   for (frame_files const& frame : layout.frames) { times.push_back(frame.time_ns); }
@@ -117,13 +119,28 @@ void add_camera(camera_images const& camera, std::int64_t most_ns, layout_of_fil
     throw error(layout.root.string() + ": " + camera.name +
                 " has no image of the time of a pair, within " + milliseconds(most_ns) + " ms");
   }
-  for (frame_files& frame : layout.frames) { frame.more.emplace_back(); }
-  for (auto const& [i, k] : pairs) { layout.frames[i].more.back() = there[k].file; }
+  std::vector<std::string> files(times.size());
+  for (auto const& [i, k] : pairs) { files[i] = there[k].file; }
   if (pairs.size() < times.size()) {
     layout.warnings.push_back(std::to_string(times.size() - pairs.size()) + " of " +
                               std::to_string(times.size()) + " frames have no image of " +
-                              camera.name + " within " + milliseconds(most_ns) +
-                              " ms: it is black in them, and the others are tracked");
+                              camera.name + " within " + milliseconds(most_ns) + " ms: " + without);
+  }
+  return files;
+}
+
+void add_depths(stereo_rig& rig, open_options const& options, layout_of_files& layout) {
+  for (camera_images const& depth : layout.depths) {
+    if (depth.camera >= 2 + static_cast<int>(rig.more.size())) {
+      layout.warnings.push_back(depth.name + " is not taken: its camera, cam" +
+                                std::to_string(depth.camera) + ", is not");
+      continue;
+    }
+    std::vector<std::string> const files =
+        at_frames(depth, options.max_time_difference_ns.value_or(most_to_depth_ns),
+                  "its camera has no depths in them", layout);
+    for (std::size_t i = 0; i < files.size(); ++i) { layout.frames[i].depths.push_back(files[i]); }
+    rig.depth_cameras.push_back(depth.camera);
   }
 }
 
@@ -140,9 +157,12 @@ void add_cameras(calibration& calib, open_options const& options, layout_of_file
   }
   more.resize(count);
   for (std::size_t k = 0; k < count; ++k) {
-    add_camera(layout.more[k], options.max_time_difference_ns.value_or(most_between_cameras_ns),
-               layout);
+    std::vector<std::string> const files =
+        at_frames(layout.more[k], options.max_time_difference_ns.value_or(most_between_cameras_ns),
+                  "it is black in them, and the others are tracked", layout);
+    for (std::size_t i = 0; i < files.size(); ++i) { layout.frames[i].more.push_back(files[i]); }
   }
+  add_depths(calib.rig, options, layout);
 }
 
 void take_images(std::vector<listed_image> const& images, std::string const& path,
@@ -171,12 +191,25 @@ constexpr char const* bags_and_videos =
 
 }  // namespace
 
+void refuse_depths(layout_of_files const& layout) {
+  throw error(layout.root.string() +
+              ": no depth images; accepted are rgb.txt with depth.txt, or associations.txt (TUM "
+              "RGB-D), and with --rig mixed (rig=\"mixed\") depth0 beside cam0, depth1 ...");
+}
+
+void refuse_pair(std::string const& what) {
+  throw error(what + ": not a stereo sequence; --rig mono (rig=\"mono\") takes one camera");
+}
+
 layout_of_files find_layout(std::string const& directory, open_options const& options) {
   if (is_file(directory)) {
     throw error(directory + ": a file; accepted are " + std::string(accepted_folders) +
                 bags_and_videos);
   }
-  if (!is_directory(directory)) { throw error(directory + ": no such folder"); }
+  if (!is_directory(directory)) {
+    throw error(directory + ": no such folder; accepted are " + std::string(accepted_folders) +
+                bags_and_videos);
+  }
   layout_of_files l;
   std::error_code failure;
   l.root = fs::canonical(directory, failure);

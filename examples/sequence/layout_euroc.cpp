@@ -38,22 +38,20 @@ std::vector<listed_image> read_image_list(fs::path const& camera,
 
 void find_euroc_frames(layout_of_files& layout, open_options const& options) {
   auto const camera = [&](char const* name) { return layout.mav0 / name; };
-  auto const require_folder = [&](char const* name) {
-    if (!is_directory(camera(name).string())) {
-      throw error(camera(name).string() + ": no such folder: not a stereo sequence");
-    }
-  };
-  require_folder("cam0");
-  if (options.rig == camera_kind::rgbd) {
-    throw error(layout.root.string() + ": the EuRoC layout has no depth images");
+  if (!is_directory(camera("cam0").string())) {
+    throw error(camera("cam0").string() +
+                ": no such folder; accepted are cam0 alone, and cam0 with cam1, ...");
   }
+  if (options.rig == camera_kind::rgbd) { refuse_depths(layout); }
   bool const pair = is_pair(options.rig) ||
                     (options.rig == camera_kind::any && is_directory(camera("cam1").string()));
   layout.stamps_from = "data.csv";
   layout.second_folder = camera("cam1").string();
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
   if (pair) {
-    require_folder("cam1");
+    if (!is_directory(camera("cam1").string())) {
+      refuse_pair(camera("cam1").string() + ": no such folder");
+    }
     two_lists lists;
     lists.left = read_image_list(camera("cam0"), layout.warnings);
     lists.second = read_image_list(camera("cam1"), layout.warnings);
@@ -65,6 +63,13 @@ void find_euroc_frames(layout_of_files& layout, open_options const& options) {
       fs::path const folder = camera(name.c_str());
       if (!is_file((folder / "data.csv").string())) { break; }
       layout.more.push_back({name, read_image_list(folder, layout.warnings)});
+    }
+    for (int k = 0;
+         options.rig == camera_kind::mixed && k < 2 + static_cast<int>(layout.more.size()); ++k) {
+      std::string const name = "depth" + std::to_string(k);
+      fs::path const folder = camera(name.c_str());
+      if (!is_file((folder / "data.csv").string())) { continue; }
+      layout.depths.push_back({name, read_image_list(folder, layout.warnings), k});
     }
     return;
   }

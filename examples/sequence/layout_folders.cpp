@@ -72,50 +72,6 @@ std::vector<named_image> list_images(fs::path const& folder) {
   return images;
 }
 
-/// `folder`, or its `data`, whichever has images; empty if neither has.
-fs::path with_images(fs::path const& folder) {
-  for (fs::path const& candidate : {folder, folder / "data"}) {
-    std::error_code failure;
-    for (fs::directory_iterator it(candidate, failure), end; !failure && it != end;
-         it.increment(failure)) {
-      if (has_image_extension(it->path())) { return candidate; }
-    }
-  }
-  return {};
-}
-
-struct camera_folders {
-  fs::path left, right;         ///< right is empty for one camera
-  std::string right_name = {};  ///< of the folder, also where it is not there
-  std::vector<fs::path> more;   ///< of cam0, cam1: cam2 ...
-};
-
-camera_folders find_folders(fs::path const& root) {
-  constexpr char const* pairs[][2] = {{"left", "right"},      {"Left", "Right"},
-                                      {"cam0", "cam1"},       {"image_0", "image_1"},
-                                      {"image_2", "image_3"}, {"image_left", "image_right"},
-                                      {"camera0", "camera1"}, {"image_00", "image_01"},
-                                      {"infra1", "infra2"},   {"left_images", "right_images"}};
-  for (auto const& [left, right] : pairs) {
-    fs::path const first = with_images(root / left);
-    if (first.empty()) { continue; }
-    camera_folders found{first, with_images(root / right), right, {}};
-    std::string const name = left;
-    for (int k = 2; name.rfind("cam", 0) == 0 && !found.right.empty(); ++k) {
-      fs::path const next =
-          with_images(root / (name.substr(0, name.size() - 1) + std::to_string(k)));
-      if (next.empty()) { break; }
-      found.more.push_back(next);
-    }
-    return found;
-  }
-  for (char const* name : {"images", "image", "rgb", "color", "frames", ""}) {
-    fs::path const first = with_images(name[0] == 0 ? root : root / name);
-    if (!first.empty()) { return {first, {}, {}, {}}; }
-  }
-  return {};
-}
-
 /// Whole numbers, as nanoseconds: seconds to nanoseconds since 1970 by their size, others by their
 /// step.
 std::vector<std::int64_t> whole_times(std::vector<std::int64_t> const& values,
@@ -347,33 +303,40 @@ void check_depth_left_out(layout_of_files& layout) {
 
 }  // namespace
 
-bool has_image_folders(fs::path const& root) { return !find_folders(root).left.empty(); }
-
 void find_folder_frames(layout_of_files& layout, open_options const& options) {
-  if (options.rig == camera_kind::rgbd) {
-    throw error(layout.root.string() + ": no depth images: neither depth.txt nor associations.txt");
-  }
-  camera_folders const folders = find_folders(layout.root);
+  if (options.rig == camera_kind::rgbd) { refuse_depths(layout); }
+  camera_folders const folders = find_camera_folders(layout.root);
   if (is_pair(options.rig) && folders.right.empty()) {
-    throw error(layout.root.string() + ": images of one camera alone, in " + folders.left.string() +
-                ": not a stereo sequence");
+    refuse_pair(layout.root.string() + ": images of one camera alone, in " + folders.left.string());
   }
   bool const pair = options.rig != camera_kind::mono && !folders.right.empty();
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
   layout.second_folder = folders.right_name;
   if (!pair && options.rig == camera_kind::any) { check_depth_left_out(layout); }
+  if (pair && options.rig == camera_kind::any && !folders.depths.empty()) {
+    layout.warnings.push_back(folders.depths.front().second.string() +
+                              ": depth images that are not used: --rig mixed (rig=\"mixed\") "
+                              "takes all cameras, with the depth images of each");
+  }
   std::vector<named_image> const left = list_images(folders.left);
   std::vector<named_image> const right = pair ? list_images(folders.right) : left;
   std::string times = options.times;
   if (times.empty() && options.fps == 0) { times = find_times(layout.root, folders.left); }
   bool const counted = options.fps > 0 || !times.empty();
   if (counted) { by_number(left, right, times, options, layout); }
-  for (std::size_t k = 0; options.rig == camera_kind::mixed && k < folders.more.size(); ++k) {
-    std::vector<named_image> const images = list_images(folders.more[k]);
-    if (images.empty()) { break; }
-    std::string const name = "cam" + std::to_string(2 + k);
-    layout.more.push_back({name, counted ? at_times_of(left, images, name, layout)
-                                         : by_name(images, folders.more[k], layout)});
+  auto const beside = [&](fs::path const& folder, std::string const& name) {
+    std::vector<named_image> const images = list_images(folder);
+    return counted ? at_times_of(left, images, name, layout) : by_name(images, folder, layout);
+  };
+  if (options.rig == camera_kind::mixed) {
+    for (std::size_t k = 0; k < folders.more.size(); ++k) {
+      std::string const name = "cam" + std::to_string(2 + k);
+      layout.more.push_back({name, beside(folders.more[k], name)});
+    }
+    for (auto const& [camera, folder] : folders.depths) {
+      std::string const name = "depth" + std::to_string(camera);
+      layout.depths.push_back({name, beside(folder, name), camera});
+    }
   }
   if (counted) { return; }
   two_lists lists;

@@ -46,9 +46,7 @@ std::string image_folder(layout_of_files const& layout, int side) {
 
 std::map<int, std::string> images_of(layout_of_files const& layout, int side) {
   fs::path const folder = layout.root / image_folder(layout, side);
-  if (!is_directory(folder.string())) {
-    throw error(folder.string() + ": no such folder: not a stereo sequence");
-  }
+  if (!is_directory(folder.string())) { refuse_pair(folder.string() + ": no such folder"); }
   std::map<int, std::string> images = list_numbered_images(folder);
   if (images.empty()) {
     throw error(folder.string() + ": no images (000000.png, .jpg or .jpeg, numbered)");
@@ -59,9 +57,7 @@ std::map<int, std::string> images_of(layout_of_files const& layout, int side) {
 }  // namespace
 
 void find_kitti_frames(layout_of_files& layout, open_options const& options) {
-  if (options.rig == camera_kind::rgbd) {
-    throw error(layout.root.string() + ": the KITTI layout has no depth images");
-  }
+  if (options.rig == camera_kind::rgbd) { refuse_depths(layout); }
   bool const pair =
       is_pair(options.rig) || (options.rig == camera_kind::any &&
                                is_directory((layout.root / image_folder(layout, 1)).string()));

@@ -119,9 +119,7 @@ void find_tum_frames(layout_of_files& layout, open_options const& options) {
     throw error(layout.root.string() + ": the TUM RGB-D layout has no second camera");
   }
   bool const depth = is_file(path("associations.txt")) || is_file(path("depth.txt"));
-  if (options.rig == camera_kind::rgbd && !depth) {
-    throw error(layout.root.string() + ": no depth images: neither depth.txt nor associations.txt");
-  }
+  if (options.rig == camera_kind::rgbd && !depth) { refuse_depths(layout); }
   if (options.rig == camera_kind::any && !depth) {
     layout.warnings.push_back(
         path("depth.txt") +

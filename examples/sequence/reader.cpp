@@ -67,6 +67,12 @@ image black(camera_intrinsics const& camera) {
   return {camera.width, camera.height, std::vector<std::uint8_t>(pixels)};
 }
 
+depth_image no_depths(camera_intrinsics const& camera) {
+  auto const pixels =
+      static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+  return {camera.width, camera.height, std::vector<std::uint16_t>(pixels)};
+}
+
 depth_image read_checked_depth(std::string const& path, camera_intrinsics const& camera) {
   depth_image depth = read_depth_image(path);
   if (depth.width != camera.width || depth.height != camera.height) {
@@ -153,7 +159,13 @@ Eigen::Isometry3d sequence::impl::prepare_images(std::string const& directory,
     if (kind == camera_kind::mono) { pair.T_left_right.translation().x() = usual_virtual_baseline; }
     try {
       rectify.emplace(pair);
-    } catch (error const& e) { throw error(source + ": " + e.what()); }
+    } catch (error const& e) {
+      throw error(
+          source + ": " + e.what() +
+          (kind == camera_kind::stereo
+               ? "; --rig mixed (rig=\"mixed\") takes cameras as they are, mono the left one"
+               : ""));
+    }
     rig = rectify->rig();
     if (kind == camera_kind::mono) { rig.T_left_right = Eigen::Isometry3d::Identity(); }
     T_raw_loaded.linear() = rectify->left_rotation().transpose();
@@ -164,8 +176,17 @@ Eigen::Isometry3d sequence::impl::prepare_images(std::string const& directory,
 void sequence::impl::set_depth_unit(layout_of_files const& files, calibration const& calib,
                                     open_options const& options) {
   detail::depth_unit unit = detail::depth_unit_of(files, calib, options);
-  std::string const& first = files.frames.front().second;
-  check_depths(read_checked_depth(first, raw.left), unit, first, rig.baseline(), warnings);
+  auto const check = [&](std::string const& first, camera_intrinsics const& camera,
+                         double baseline) {
+    check_depths(read_checked_depth(first, camera), unit, first, baseline, warnings);
+  };
+  if (!mixed) { check(files.frames.front().second, raw.left, rig.baseline()); }
+  for (std::size_t k = 0; k < raw.depth_cameras.size(); ++k) {
+    unit.camera_txt = false;
+    auto const first = std::find_if(files.frames.begin(), files.frames.end(),
+                                    [&](auto const& frame) { return !frame.depths[k].empty(); });
+    check(first->depths[k], raw.left, usual_virtual_baseline);  // all cameras have one size
+  }
   depth_unit = unit.metres;
   depth_unit_from = std::move(unit.from);
 }
@@ -227,7 +248,9 @@ sequence sequence::open(std::string const& directory, open_options const& option
   p->rig = calib.rig;
   p->has_body_frame = calib.has_body_frame;
   Eigen::Isometry3d const T_raw_loaded = p->prepare_images(directory, options);
-  if (files.kind == camera_kind::rgbd) { p->set_depth_unit(files, calib, options); }
+  if (files.kind == camera_kind::rgbd || !p->raw.depth_cameras.empty()) {
+    p->set_depth_unit(files, calib, options);
+  }
 
   raw_ground_truth truth = detail::find_ground_truth(files, p->warnings);
   p->has_orientation = truth.orientation;
@@ -297,6 +320,10 @@ stereo_frame sequence::load(int i) const {
       frame.more.push_back(files.more[k].empty()
                                ? black(camera)
                                : read_checked(files.more[k], camera, impl_->image_bits));
+    }
+    for (std::string const& depth : files.depths) {  // all cameras have one size
+      frame.depths.push_back(depth.empty() ? no_depths(impl_->raw.left)
+                                           : read_checked_depth(depth, impl_->raw.left));
     }
   } else if (impl_->kind == camera_kind::rgbd) {
     frame.depth = read_checked_depth(files.second, impl_->raw.left);

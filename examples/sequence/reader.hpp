@@ -2,7 +2,8 @@
 /// @file Opens a sequence on disk: a rig of cameras, a pair or one, in EuRoC's (ASL) or KITTI
 /// odometry's layout (image_0 and image_1, or without them the colour images image_2 and image_3),
 /// or a camera with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt),
-/// or plain folders of images (left and right, or one).
+/// or plain folders of images (left and right, or one). Depth images of a rig's camera cam2 are in
+/// depth2 beside it.
 #pragma once
 
 #include <cstdint>
@@ -150,10 +151,11 @@ private:
 /// A camera of a rig that is not rectified.
 struct rig_camera : mounted_camera {
   int right = -1;  ///< number of the camera that its depths come from; -1 = it is a single one
+  bool has_depth = false;  ///< it has depth images, and is in no pair
 };
 
-/// All cameras of a rig, the left one first. Two make a pair that look the same way within 45
-/// degrees and are in two places; the first one that is left is taken.
+/// All cameras of a rig, the left one first. Two without depth images make a pair that look the
+/// same way within 45 degrees and are in two places; the first one that is left is taken.
 std::vector<rig_camera> rig_cameras(stereo_rig const& rig);
 
 /// What was found in a recording, for people.

@@ -73,8 +73,9 @@ void check_depths(depth_image const& depth, depth_unit const& unit, std::string 
         path + ": nothing says the unit of the depth images: " + to_text(unit.metres) +
         " m is assumed, as TUM RGB-D has it" +
         (middle > 0 ? ", so that the median depth is " + to_text(middle) + " m" : "") +
-        "; of millimetres --depth-unit 0.001 (depth_unit=0.001), or a line \"# depth in units of "
-        "1 mm\" in camera.txt, says so");
+        "; of millimetres --depth-unit 0.001 (depth_unit=0.001)" +
+        (unit.camera_txt ? ", or a line \"# depth in units of 1 mm\" in camera.txt, says so"
+                         : " says so"));
   } else if (middle != 0 && (middle < nearest || middle > farthest)) {
     warnings.push_back(path + ": the median depth is " + to_text(middle) + " m with the unit of " +
                        to_text(unit.metres) + " m, likely are " + to_text(nearest) + " to " +

@@ -20,10 +20,13 @@ bool is_known(lens model) { return model != lens::unified && model != lens::exte
 }  // namespace
 
 std::vector<rig_camera> rig_cameras(stereo_rig const& rig) {
-  std::vector<rig_camera> all = {{{rig.left, Eigen::Isometry3d::Identity()}, -1},
-                                 {{rig.right, rig.T_left_right}, -1}};
-  for (mounted_camera const& camera : rig.more) { all.push_back({camera, -1}); }
+  std::vector<rig_camera> all = {{{rig.left, Eigen::Isometry3d::Identity()}},
+                                 {{rig.right, rig.T_left_right}}};
+  for (mounted_camera const& camera : rig.more) { all.push_back({camera}); }
   std::vector<bool> taken(all.size());
+  for (int const k : rig.depth_cameras) {
+    taken[static_cast<std::size_t>(k)] = all[static_cast<std::size_t>(k)].has_depth = true;
+  }
   for (std::size_t i = 0; i < all.size(); ++i) {
     for (std::size_t k = i + 1; k < all.size() && !taken[i]; ++k) {
       Eigen::Isometry3d const T = all[i].T_left_this.inverse() * all[k].T_left_this;
@@ -76,9 +79,11 @@ void check_mixed(stereo_rig const& rig, std::string const& source) {
                   ": all cameras of a rig must have one size");
     }
   }
-  if (std::none_of(all.begin(), all.end(), [](rig_camera const& c) { return c.right >= 0; })) {
+  if (std::none_of(all.begin(), all.end(),
+                   [](rig_camera const& c) { return c.right >= 0 || c.has_depth; })) {
     throw error(source + ": no two of the " + std::to_string(all.size()) +
-                " cameras look the same way within 45 degrees: no depths");
+                " cameras look the same way within 45 degrees, and none has depth images (depth0, "
+                "depth1 ... beside cam0, cam1 ...): no depths");
   }
 }
 

@@ -88,6 +88,7 @@ struct stereo_rig {
       Eigen::Isometry3d::Identity();  ///< maps left-camera points to the body (IMU) frame
   double fps = 0;                     ///< 0 = unknown
   std::vector<mounted_camera> more;   ///< cameras beside the pair, the third one first
+  std::vector<int> depth_cameras;     ///< those of a mixed rig with depth images; 0 is the left one
 
   double baseline() const { return T_left_right.translation().norm(); }
   /// True if rows of both images correspond: two equal pinholes, T_left_right a translation along
@@ -116,6 +117,7 @@ struct stereo_frame {
   image right;              ///< of a pair only
   std::vector<image> more;  ///< of stereo_rig::more; black where a camera has none in this frame
   depth_image depth;        ///< of a camera with depth only: registered to `left`, of its size
+  std::vector<depth_image> depths;  ///< of stereo_rig::depth_cameras; all 0 where one has none
 };
 
 /// Noise densities of an IMU. The defaults are those of the EuRoC data sets.

@@ -62,7 +62,7 @@ void print_recording(seq::sequence const& sequence, app::arguments const& a,
   for (auto const& [name, text] : seq::describe(sequence, a.imu != "off")) {
     std::cout << name << std::string(10 - name.size(), ' ') << text << "\n";
   }
-  if (o.rig.kind == ft::rig_kind::rgbd) {
+  if (sequence.depth_unit() > 0) {
     std::cout << "depth     taken from " << o.rig.min_depth << " to " << o.rig.max_depth << " m\n";
   }
   if (o.rig.kind == ft::rig_kind::monocular && !sequence.imu()) {
@@ -86,7 +86,9 @@ int run(app::arguments a, std::vector<std::string> const& words) {
   report.date = seq::utc_now();
   if (report.backend == "host") { report.threads = app::threads_of(setup); }
   print_recording(sequence, a, setup);
-  std::cout << "backend   " << report.backend << ", " << report.device << "\n";
+  bool const no_gpu = a.backend == "auto" && report.backend == "host";
+  std::cout << "backend   " << report.backend << ", " << report.device
+            << (no_gpu ? "; no GPU, or built without CUDA" : "") << "\n";
   for (std::string const& warning : report.calibration) {
     std::cout << "warning   calibration: " << warning << "\n";
   }

@@ -9,6 +9,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "examples/sequence/calibration.hpp"
 #include "examples/sequence/read_ahead.hpp"
 #include "examples/track_sequence/processor_name.hpp"
 
@@ -38,14 +39,19 @@ ft::camera_description camera_description_of(seq::camera_intrinsics const& c) {
 }
 
 /// The body is the left camera.
-ft::rig_description mixed_description_of(seq::stereo_rig const& rig) {
+ft::rig_description mixed_description_of(arguments const& a, seq::sequence const& sequence) {
   ft::rig_description all;
   all.kind = ft::rig_kind::multi;
   all.cameras = 0;
-  for (seq::rig_camera const& c : seq::rig_cameras(rig)) {
+  all.depth_scale = sequence.depth_unit();
+  all.min_depth = a.min_depth;
+  all.max_depth = a.max_depth;
+  for (seq::rig_camera const& c : seq::rig_cameras(sequence.rig())) {
     ft::camera_description& to = all.camera[all.cameras++];
     to = camera_description_of(c.camera);
     to.right = c.right;
+    to.has_depth_image = c.has_depth;
+    to.baseline = c.has_depth ? seq::usual_virtual_baseline : 0;
     to.T_camera_body = rigid_of(c.T_left_this.inverse());
   }
   return all;
@@ -53,7 +59,7 @@ ft::rig_description mixed_description_of(seq::stereo_rig const& rig) {
 
 ft::rig_description rig_of(arguments const& a, seq::sequence const& sequence) {
   auto const& rig = sequence.rig();
-  if (sequence.mixed()) { return mixed_description_of(rig); }
+  if (sequence.mixed()) { return mixed_description_of(a, sequence); }
   auto const baseline = static_cast<double>(static_cast<float>(rig.baseline()));
   auto const left = camera_description_of(rig.left);
   if (sequence.kind() == seq::camera_kind::mono) { return ft::rig_description::monocular(left); }
@@ -109,7 +115,7 @@ void check_fit(arguments const& a, seq::sequence const& sequence) {
                      " does not say where the body is");
   }
   bool const depth = a.depth_unit > 0 || a.min_depth > 0 || std::isfinite(a.max_depth);
-  if (depth && sequence.kind() != camera_kind::rgbd) {
+  if (depth && sequence.depth_unit() == 0) {
     throw seq::error("--depth-unit, --min-depth, --max-depth: no depth images of " + a.sequence +
                      " are used");
   }

@@ -67,9 +67,11 @@ ft::any_images images_of(seq::stereo_frame const& frame) {
   };
   ft::any_images images{{gray(frame.left), gray(frame.right)}, {}};
   std::transform(frame.more.begin(), frame.more.end(), images.gray + 2, gray);
-  auto const& depth = frame.depth;
-  images.depth = ft::image_view<std::uint16_t const>{depth.pixels.data(), depth.width, depth.height,
-                                                     depth.width};
+  auto const depth = [](seq::depth_image const& i) -> ft::depth_view {
+    return ft::image_view<std::uint16_t const>{i.pixels.data(), i.width, i.height, i.width};
+  };
+  images.depth = depth(frame.depth);
+  std::transform(frame.depths.begin(), frame.depths.end(), images.depths, depth);
   return images;
 }
 

@@ -161,7 +161,7 @@ def write_calibration(made: Unpacked, chosen: list[Stream], frames: Frames, imu_
         T_right_left = turned(right, between) @ np.linalg.inv(turned(left, np.eye(4)))
     placed = len(chosen) == 1 or T_right_left is not None
     if placed and (T_left_imu is not None or (len(chosen) == 2 and not right.right_of_pair())):
-        write_chain(made.folder / "camchain-imucam.yaml", map(chain_camera, chosen), T_right_left,
+        write_chain(made.folder / "camchain-imucam.yaml", map(chain_camera, chosen), [] if T_right_left is None else [T_right_left],
                     None if T_left_imu is None else turned(left, T_left_imu))
         made.calibration += " and /tf_static"
         made.warnings += frames.warnings

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the cameras and the IMU of a bag are: its static transforms, and the calibration written with them."""
+"""Where the cameras and the IMU of a bag are: its transforms, and the calibration written with them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Iterable, Optional, Protocol
+from typing import TYPE_CHECKING, Iterable, Iterator, Optional, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from .rigs import Imu
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-TF_TYPE = "tf2_msgs/msg/TFMessage"
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 Motion = NDArray[np.float64]
 
 
@@ -69,9 +69,9 @@ class Frames:
         return found.get(source)
 
 
-def read_frames(reader: AnyReader) -> Frames:
-    frames = Frames()
-    connections = [c for c in reader.connections if c.msgtype == TF_TYPE and c.topic.split("/")[-1] == "tf_static"]
+def transforms_of(reader: AnyReader, topic: str) -> Iterator[tuple[str, str, Motion]]:
+    """Parent, child and T_parent_child; those with numbers that are none are left out."""
+    connections = [c for c in reader.connections if c.msgtype in TF_TYPES and c.topic.split("/")[-1] == topic]
     for connection, _, raw in reader.messages(connections=connections) if connections else ():
         for one in reader.deserialize(raw, connection.msgtype).transforms:  # type: ignore[attr-defined]
             T = np.eye(4)
@@ -80,7 +80,22 @@ def read_frames(reader: AnyReader) -> Frames:
             t = one.transform.translation
             T[:3, 3] = [t.x, t.y, t.z]
             if np.isfinite(T).all():
-                frames.add(str(one.header.frame_id).lstrip("/"), str(one.child_frame_id).lstrip("/"), T)
+                yield str(one.header.frame_id).lstrip("/"), str(one.child_frame_id).lstrip("/"), T
+
+
+def read_frames(reader: AnyReader, moving: bool = False) -> Frames:
+    """Those of /tf_static. moving: also those of /tf that stay as they are, where /tf_static does not join the frames."""
+    frames = Frames()
+    for parent, child, T in transforms_of(reader, "tf_static"):
+        frames.add(parent, child, T)
+    still: dict[tuple[str, str], Optional[Motion]] = {}
+    for parent, child, T in transforms_of(reader, "tf") if moving else ():
+        before = still.setdefault((parent, child), T)
+        if before is not None and np.abs(before - T).max() > 1e-6:
+            still[parent, child] = None
+    for (parent, child), stays in still.items():
+        if stays is not None and frames.find(parent, child) is None:
+            frames.add(parent, child, stays)
     return frames
 
 
@@ -104,8 +119,8 @@ class Camera(Protocol):
     d: list[float]
 
 
-def write_chain(file: Path, cameras: Iterable[Camera], T_right_left: Optional[Motion], T_left_imu: Optional[Motion]) -> None:
-    """Kalibr's chain of one camera or two."""
+def write_chain(file: Path, cameras: Iterable[Camera], T_next_camera: list[Motion], T_left_imu: Optional[Motion]) -> None:
+    """Kalibr's chain. T_next_camera: of each camera but the last."""
     def rows(T: Motion) -> str:
         return "[" + ", ".join("[" + ", ".join(map(repr, map(float, row))) + "]" for row in T) + "]"
 
@@ -117,9 +132,8 @@ def write_chain(file: Path, cameras: Iterable[Camera], T_right_left: Optional[Mo
                   f"  resolution: [{camera.width}, {camera.height}]"]
         if i == 0 and T_left_imu is not None:
             lines.append(f"  T_cam_imu: {rows(T_left_imu)}")
-        if i == 1:
-            assert T_right_left is not None
-            lines.append(f"  T_cn_cnm1: {rows(T_right_left)}")
+        if i > 0:
+            lines.append(f"  T_cn_cnm1: {rows(T_next_camera[i - 1])}")
     file.write_text("\n".join(lines) + "\n")
 
 

@@ -114,7 +114,7 @@ class ImageWriter:
 
     def __init__(self, folder: Path, lists: IO[str] | None, first: Message, topic: str) -> None:
         self._folder, self._lists, self._topic = folder, lists, topic
-        self._depth = is_depth(first, topic) and folder.name == "depth"
+        self._depth = is_depth(first, topic) and folder.name.startswith("depth")
         self._unset = stamp_of(first.header) == 0
         self._seen: set[int] = set()
         self._doubled = 0

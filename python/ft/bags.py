@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TextIO
 from . import bag_images
 from .bag_calibration import INFO_TYPE, Stream, matrix, write_calibration
 from .bag_frames import read_frames, write_assumed_imu
+from .bag_rigs import choose_rig, folders_of, pairs_by_name, write_rig
 from .unpacking import BAGS, Unpacked, Wanted, begin
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 IMU_TYPE = "sensor_msgs/msg/Imu"
 TRUTH_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped", "nav_msgs/msg/Odometry",
                "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PointStamped")
-PAIRS = (("left", "right"), ("cam0", "cam1"), ("camera0", "camera1"), ("cam_0", "cam_1"), ("camera_0", "camera_1"),
-         ("infra1", "infra2"), ("image_0", "image_1"), ("fisheye1", "fisheye2"), ("cam1", "cam2"), ("camera1", "camera2"))
 
 
 def open_reader(path: Path, stack: ExitStack) -> AnyReader:
@@ -86,13 +85,7 @@ def find_streams(reader: AnyReader) -> list[Stream]:
 def find_pair(cameras: list[Stream]) -> tuple[Stream, Stream] | None:
     """Left and right, by their names, else the two whose camera_info are those of a rectified pair. Those with a
     calibration and images as they were taken come first."""
-    found = []
-    at = {s.topic: s for s in cameras}
-    for left, right in PAIRS:
-        for stream in cameras:
-            other = at.get(stream.topic.replace(left, right))
-            if other is not None and other is not stream:
-                found.append((stream, other))
+    found = pairs_by_name(cameras)
     if not found:
         rights = [s for s in cameras if s.right_of_pair()]
         found = [(a, b) for b in rights for a in cameras if a.info is not None and not a.right_of_pair()]
@@ -111,8 +104,9 @@ def choose(source: Path, streams: list[Stream], wanted: Wanted) -> list[Stream]:
         for topic in wanted.topics:
             if topic not in at:
                 raise RuntimeError(f"{source}: no images of the topic {topic}; there are {there}")
-        if len(wanted.topics) > 2:
-            raise RuntimeError(f"{source}: {len(wanted.topics)} topics, must be one camera, left and right, or colour and depth")
+        if len(wanted.topics) > 2 and wanted.rig != "mixed":
+            raise RuntimeError(f"{source}: {len(wanted.topics)} topics, must be one camera, left and right, or colour and depth; "
+                               "rig mixed (--rig mixed) takes more")
         return [at[topic] for topic in wanted.topics]
     cameras = [s for s in streams if not s.depth]
     depths = [s for s in streams if s.depth]
@@ -133,22 +127,24 @@ def choose(source: Path, streams: list[Stream], wanted: Wanted) -> list[Stream]:
     if wanted.rig == "rgbd":
         raise RuntimeError(f"{source}: no depth images (16UC1, 32FC1); there are {there}")
     if len(cameras) > 1 and pair is None:
-        raise RuntimeError(f"{source}: several cameras: {there}; name one, or two of a pair (topics, --topics)")
+        raise RuntimeError(f"{source}: several cameras: {there}; name one, or two of a pair (topics, --topics), or take "
+                           "all of them as a rig (rig mixed, --rig mixed)")
     return [pair[0] if pair is not None else cameras[0]]
 
 
 class Writer:
     """Writes messages to the folder: images by their stamps, samples of an IMU to imu.csv."""
 
-    def __init__(self, made: Unpacked, chosen: list[Stream], stack: ExitStack) -> None:
+    def __init__(self, made: Unpacked, chosen: list[Stream], mixed: bool, stack: ExitStack) -> None:
         self._made = made
         rgbd = len(chosen) == 2 and chosen[1].depth
-        names = ("rgb", "depth") if rgbd else ("left", "right") if len(chosen) == 2 else ("images",)
+        names = (folders_of(Path(made.source), chosen) if mixed else ("rgb", "depth") if rgbd
+                 else ("left", "right") if len(chosen) == 2 else ("images",))
         self._images = {}
         for stream, name in zip(chosen, names):
             (made.folder / name).mkdir()
             made.parts.update({name: f"{made.source}: {stream.topic}", f"{name}.txt": f"{made.source}: stamps of {stream.topic}"})
-            lists = stack.enter_context(open(made.folder / f"{name}.txt", "w")) if rgbd else None
+            lists = stack.enter_context(open(made.folder / f"{name}.txt", "w")) if rgbd and not mixed else None
             self._images[stream.topic] = bag_images.ImageWriter(made.folder / name, lists, stream.first, stream.topic)
         self._imu: TextIO | None = None
         self._stack = stack
@@ -196,14 +192,17 @@ def unpack_bag(path: Path, wanted: Wanted) -> Unpacked:
     with ExitStack() as stack:
         reader = open_reader(path, stack)
         streams = find_streams(reader)
-        chosen = choose(path, streams, wanted)
         made = begin(str(path), "bag")
+        mixed = wanted.rig == "mixed"
+        chosen = (choose(path, streams, wanted) if wanted.topics or not mixed
+                  else choose_rig(path, streams, wanted.calibration, made.warnings))
         # A RealSense has a topic for each half of its IMU.
         imus = [(t, c) for t, c in sorted(by_topic(reader, (IMU_TYPE,)).items()) if not {"accel", "gyro"} & set(t.split("/"))]
         first = first_of(reader, imus[0][1]) if imus else None
         imu_frame = str(first.header.frame_id) if first is not None else ""  # type: ignore[attr-defined]
-        placed = not wanted.calibration and write_calibration(made, chosen, read_frames(reader), imu_frame)
-        writer = Writer(made, chosen, stack)
+        write = write_rig if mixed else write_calibration
+        placed = not wanted.calibration and write(made, chosen, read_frames(reader, mixed), imu_frame)
+        writer = Writer(made, chosen, mixed, stack)
         made.parts["imu.csv"] = f"{path}: {imus[0][0] if imus else 'no IMU'}"
         made.parts["imu.yaml"] = f"{path}: the noise of its IMU"
         try:
@@ -221,8 +220,12 @@ def unpack_bag(path: Path, wanted: Wanted) -> Unpacked:
 def describe(made: Unpacked, reader: AnyReader, chosen: list[Stream], streams: list[Stream], imus: list[str],
              samples: int, wanted: Wanted) -> None:
     kind = "ROS 1 bag" if made.source.endswith(".bag") else "ROS 2 bag"
-    made.what = f"{Path(made.source).name}, {kind}, {' and '.join(s.named() for s in chosen)}"
+    mixed = wanted.rig == "mixed"
+    cameras = (", ".join(f"{n} {s.named()}" for n, s in zip(folders_of(Path(made.source), chosen), chosen)) if mixed
+               else " and ".join(s.named() for s in chosen))
+    made.what = f"{Path(made.source).name}, {kind}, {cameras}"
     made.stamps = "headers of the messages"
+    made.depth_unit = bag_images.MILLIMETRE if mixed and any(s.depth for s in chosen) else None
     if imus:
         made.added["imu"] = f"{samples} samples of {imus[0]}"
     else:
@@ -239,4 +242,5 @@ def describe(made: Unpacked, reader: AnyReader, chosen: list[Stream], streams: l
             for topic, connections in truths)
     others = [s.named() for s in streams if s not in chosen] + imus[1:]
     if others:
-        made.added["left out"] = "topics " + ", ".join(others)
+        more = len(chosen) == 2 and any(not s.depth for s in streams if s not in chosen) and not mixed
+        made.added["left out"] = f"topics {', '.join(others)}{'; --rig mixed takes other cameras, too' if more else ''}"

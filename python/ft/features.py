@@ -15,6 +15,7 @@ from .streams import Array, StreamLike, handle_of
 
 if TYPE_CHECKING:
     import cv2
+    import cv2.typing
 
 
 @dataclass
@@ -102,13 +103,13 @@ class ImageFeatures:
                              level_positions=True)
 
     @staticmethod
-    def from_cv2(keypoints: Sequence[cv2.KeyPoint], descriptors: Optional[NDArray[np.uint8]],
+    def from_cv2(keypoints: Sequence[cv2.KeyPoint], descriptors: Optional[cv2.typing.MatLike],
                  pixel_size: Optional[float] = None) -> ImageFeatures:
         """Those of cv2.ORB_create(scaleFactor=s), whose scale_factor the Odometry has, too. Octaves of other detectors of
         OpenCV mean something else. pixel_size: of these, the size of keypoints whose positions have a standard deviation of
         a pixel, 3.2 of SIFT, 4.8 of AKAZE; `deviation` follows from the sizes."""
         positions = np.array([k.pt for k in keypoints], np.float32).reshape(-1, 2)
-        rows = np.zeros((0, 32), np.uint8) if descriptors is None else descriptors
+        rows = cast("NDArray[np.uint8]", np.zeros((0, 32), np.uint8) if descriptors is None else descriptors)
         angle = np.array([k.angle for k in keypoints], np.float32)
         if pixel_size is not None:
             sizes = np.array([k.size for k in keypoints], np.float32)

@@ -119,7 +119,7 @@ class Odometry:
 
         track(left, right, time_ns) of a pair, track(grey, depth, time_ns) of an RgbdCamera, track(image, time_ns) of a
         MonocularCamera, track(image, image, ..., time_ns) of a MultiRig: of each of its cameras in turn, of a pair left and
-        right. With batch > 1 each of these is a sequence with an item for each rig, and a list is returned.
+        right, of a camera with depth images both. With batch > 1 each of these is a sequence with an item for each rig, and a list is returned.
 
         Images are (height, width) uint8, rows may be padded; a depth image is uint16 or float32. time_ns: when they were
         taken, an int, nanoseconds; later than the frame before. On a GPU images may lie on the device: anything with

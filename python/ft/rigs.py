@@ -136,39 +136,50 @@ class RigCamera:
     cx, cy, pixels, or ft.Pinhole, ft.RadTan, ft.KannalaBrandt or ft.DoubleSphere. `baseline`: to the right camera of the
     rectified pair, metres; the camera is a pinhole then. `T_camera_body` (4, 4) maps points of the body to the (left) camera.
     `right`: the number of another camera of the rig that sees the same: both are a pair, which is not rectified, and
-    `baseline` is 0. Other values raise ValueError where the rig is used."""
+    `baseline` is 0. `has_depth`: it has depth images as those of RgbdCamera, and is in no pair; `baseline` is that of its virtual
+    pair then, 0 = 0.08. Other values raise ValueError where the rig is used."""
 
     camera: Camera
     baseline: float = 0.0
     T_camera_body: ArrayLike = field(default_factory=lambda: np.eye(4))
     right: Optional[int] = None
+    has_depth: bool = False
 
     def _plain(self) -> dict[str, object]:
+        if self.has_depth and self.right is not None:
+            raise ValueError(f"right is {self.right} and has_depth is True: the depths of a camera have one origin")
+        baseline = self.baseline or (0.08 if self.has_depth else 0.0)
         if self.right is not None and self.baseline != 0:
             raise ValueError(f"right is {self.right} and baseline is {self.baseline}: a camera is in one pair, rectified "
                              "(baseline) or not (right)")
         models = {_ft.Pinhole: "pinhole", _ft.RadTan: "radtan8", _ft.KannalaBrandt: "kannala_brandt",
                   _ft.DoubleSphere: "double_sphere"}
         return {"model": next((name for m, name in models.items() if isinstance(self.camera, m)), "pinhole"),
-                "camera": _values(self.camera, models=tuple(models)), "baseline": self.baseline,
-                "T_camera_body": _matrix(self.T_camera_body, "T_camera_body"), "right": self.right}
+                "camera": _values(self.camera, models=tuple(models)), "baseline": baseline,
+                "T_camera_body": _matrix(self.T_camera_body, "T_camera_body"), "right": self.right,
+                "has_depth": bool(self.has_depth)}
 
 
 @dataclass
 class MultiRig:
-    """1 to 16 cameras fixed to a body, in any order, of the models of RigCamera. At least one has a `baseline`, or two are a
-    pair by `right`. One map and one pose, that of the body, come from all of them. `cameras`: a list of RigCamera. A frame has
-    an image for each camera and two, left and right, for each with a baseline, in the order of `cameras`. A single camera
-    makes no points: it finds those of the pairs. Memory is taken for 4 cameras; for 16 from the fifth on, for other models than
-    pinholes, and for pairs by `right`."""
+    """1 to 16 cameras fixed to a body, in any order, of the models of RigCamera. At least one has a `baseline` or
+    depth images, or two are a pair by `right`. One map and one pose, that of the body, come from all of them. `cameras`: a list of RigCamera. A frame has
+    an image for each camera, and behind it the right image of each with a baseline, the depth image of each with `has_depth`, in the
+    order of `cameras`. `depth_scale`, `min_depth` and `max_depth` are those of RgbdCamera, of all depth images. A single camera
+    makes no points: it finds those of the others. Memory is taken for 4 cameras; for 16 from the fifth on, for other models than
+    pinholes, and for pairs by `right` and depth images."""
 
     cameras: list[RigCamera]
+    depth_scale: Optional[float] = None
+    min_depth: float = 0.0
+    max_depth: Optional[float] = None
 
     def _plain(self) -> dict[str, object]:
         for i, camera in enumerate(self.cameras):
             if not isinstance(camera, RigCamera):
                 raise ValueError(f"cameras[{i}] is {type(camera).__name__}, must be ft.RigCamera")
-        return _plain("multi", cameras=[c._plain() for c in self.cameras])
+        return _plain("multi", depth=(self.depth_scale, self.min_depth, self.max_depth),
+                      cameras=[c._plain() for c in self.cameras])
 
 
 Rig = Union[RectifiedPair, DistortedPair, FisheyePair, RgbdCamera, MonocularCamera, MultiRig]

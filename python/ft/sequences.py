@@ -49,6 +49,7 @@ class _FileCamera(TypedDict):
     camera: list[float]
     T_camera_body: NDArray[np.float64]
     right: Optional[int]
+    has_depth: bool
 
 
 class _FileRig(TypedDict):
@@ -80,7 +81,7 @@ class _FileImu(TypedDict):
 @dataclass
 class Frame:
     """Images taken at time_ns, a tuple in the order of ft.Odometry.track: left and right of a pair, those of
-    a rig's cameras, the one of a single camera, or that and its depth image; (height, width) uint8, depth uint16."""
+    a rig's cameras, depth images behind their camera's, the one of a single camera, or that and its depth image; (height, width) uint8, depth uint16."""
 
     time_ns: int
     images: tuple[NDArray[np.uint8], ...]
@@ -161,7 +162,7 @@ class Trajectory:
 class Sequence:
     """Frames on disk, decoded when they are asked for; of fisheye cameras and of a MultiRig as they are, of others
     rectified. rig: what ft.Odometry takes; of read_sequence(rig="mixed") a MultiRig. ground_truth: a Trajectory, which is empty,
-    and false, where there is none. warnings: what was left out or looks wrong, a sentence each. files: that of the
+    and false, where there is none. depth_unit: metres per unit of depth images; 0 without. warnings: what was left out or looks wrong, a sentence each. files: that of the
     extension."""
 
     def __init__(self, files: _ft.SequenceFiles, min_depth: float = 0.0, max_depth: Optional[float] = None,
@@ -170,15 +171,15 @@ class Sequence:
         self._recording = recording  # an Unpacked, whose folder goes with it
         rig = cast(_FileRig, files.rig)
         self.baseline, self.kind = rig["baseline"], rig["kind"]
-        self.width, self.height = rig["width"], rig["height"]
+        self.width, self.height, self.depth_unit = rig["width"], rig["height"], rig["depth_unit"]
         self.rig: Union[MonocularCamera, RgbdCamera, FisheyePair, RectifiedPair, MultiRig]
         left: Union[_ft.KannalaBrandt, _ft.Pinhole, _ft.RadTan, _ft.DoubleSphere]
         left = _ft.KannalaBrandt(rig["left"]) if rig["fisheye"] else _ft.Pinhole(rig["left"][:4])
         if rig["cameras"]:
             cameras = [getattr(_ft, c["model"])(c["camera"]) for c in rig["cameras"]]
             left = cameras[0]
-            self.rig = MultiRig([RigCamera(camera, 0.0, c["T_camera_body"], c["right"])
-                                 for camera, c in zip(cameras, rig["cameras"])])
+            self.rig = MultiRig([RigCamera(camera, 0.0, c["T_camera_body"], c["right"], c["has_depth"])
+                                 for camera, c in zip(cameras, rig["cameras"])], rig["depth_unit"] or None, min_depth, max_depth)
         elif self.kind == "mono":
             self.rig = MonocularCamera(left)
         elif self.kind == "rgbd":
@@ -245,7 +246,8 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     warning where up to eight images of each camera need 14 or fewer. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
     also reads mav0/imu0, imu0 or imu.csv, or a bag's sensor_msgs/Imu, if the calibration says where it is (Kalibr's
     chain). rig: auto (what the folder holds), stereo, mono (the left camera alone), rgbd, or mixed: a pair and all cameras beside it (cam2 ..., of
-    EuRoC's layout or of folders with Kalibr's chain), of any lenses, as they are; auto and stereo take the pair alone.
+    EuRoC's layout or of folders with Kalibr's chain; those of a bag), of any lenses, as they are; auto and stereo take the pair
+    alone.
     depth_unit: metres per unit of depth images; None = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
     stamps of a frame's images may be apart; None = 1 ms for a pair, 20 ms for depth images. Warns of what was left out or
     looks wrong. Raises RuntimeError that names the file and what is wrong; ValueError for arguments out of range."""
@@ -258,10 +260,12 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     if not isinstance(max_frames, (int, np.integer)) or not 0 <= max_frames < 2**31:
         raise ValueError(f"max_frames is {max_frames!r}, must be a whole number from 0 to {2**31 - 1}")
     frames = int(max_frames)
-    recording = unpacked(folder, Wanted("stereo" if rig == "mixed" else str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics),
-                                        bool(str(calibration)), progress or (lambda images: None), bool(imu)))
+    recording = unpacked(folder, Wanted(str(rig), frames, (topics,) if isinstance(topics, str) else tuple(topics), str(calibration),
+                                        progress or (lambda images: None), bool(imu)))
     if recording is not None and (fps is not None or str(times)):
         recording.stamps = ""  # not the recording's own
+    if recording is not None and depth_unit is None:
+        options["depth_unit"] = recording.depth_unit
     if recording is None:
         first = folder[0] if isinstance(folder, (list, tuple)) else folder
         sequence = Sequence(_ft.SequenceFiles.open(str(first), options), min_depth, max_depth)

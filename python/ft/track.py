@@ -64,7 +64,7 @@ def open_sequence(a: argparse.Namespace) -> ft.Sequence:
                          "the body")
     if a.frame == "body" and not sequence.has_body_frame:
         raise ValueError(f"--frame body: the calibration of {a.folder} does not say where the body is")
-    if sequence.kind != "rgbd" and (a.depth_unit, a.min_depth, a.max_depth) != (None, 0.0, None):
+    if not sequence.depth_unit and (a.depth_unit, a.min_depth, a.max_depth) != (None, 0.0, None):
         raise ValueError(f"--depth-unit, --min-depth, --max-depth: no depth images of {a.folder} are used")
     return sequence
 
@@ -325,10 +325,12 @@ def track(arguments: argparse.Namespace) -> int:
     odometry, settings = make_odometry(arguments, sequence, arguments.timing or viewer is not None)
     for name, text in sequence.describe(arguments.imu == "auto"):
         print(f"{name:<10}{text}")
-    if sequence.kind == "rgbd":
+    if sequence.depth_unit:
         most = float("inf") if arguments.max_depth is None else arguments.max_depth
         print(f"depth     taken from {arguments.min_depth:g} to {most:g} m")
-    print(f"backend   {backend_of(arguments.backend)}")
+    backend = backend_of(arguments.backend)
+    no_gpu = arguments.backend == "auto" and backend == "host"
+    print(f"backend   {backend}{'; no GPU, or built without CUDA' if no_gpu else ''}")
     calibration = [f"{found.name}: {found.text}" for found in ft.check_calibration(sequence.rig, sequence.width, sequence.height)]
     for text in calibration:
         print(f"warning   calibration: {text}")

@@ -25,14 +25,13 @@ Progress = Callable[[int], None]
 
 @dataclass
 class Wanted:
-    """What a caller of read_sequence asks of a recording. rig: auto, stereo, mono or rgbd; a mixed
-    one is stereo here. topics: of images, of a bag;
-    empty: found. calibration: whether one was named. imu: whether samples of one are to be used."""
+    """What a caller of read_sequence asks of a recording. rig: auto, stereo, mono, rgbd or mixed. topics: of images, of a bag;
+    empty: found. calibration: the file or folder that was named. imu: whether samples of one are to be used."""
 
     rig: str = "auto"
     max_frames: int = 0
     topics: SequenceOf[str] = ()
-    calibration: bool = False
+    calibration: str = ""
     progress: Progress = lambda images: None
     imu: bool = False
 
@@ -53,6 +52,7 @@ class Unpacked:
     replaced: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     parts: dict[str, str] = field(default_factory=dict)  # what files and folders of the folder were, by their names
+    depth_unit: float | None = None  # metres, of depth images whose calibration does not say it
     missing: str = ""  # what the recording lacks where it holds no calibration
 
     def named(self, text: str) -> str:
@@ -84,6 +84,8 @@ class Unpacked:
                 text = f"{self.what}; calibration {self.calibration or text.rpartition('; calibration ')[2]}"
             elif name == "images" and self.stamps:
                 text = f"{text.rpartition('; times: ')[0]}; times: {self.stamps}"
+            elif name == "cameras" and self.depth_unit is not None:
+                text = text.replace("as asked for", "as bags have it")
             elif name in self.replaced and text != "not asked for":
                 text = self.replaced[name]
             elif name in self.added and text != "not asked for":

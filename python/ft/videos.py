@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Optional
 
@@ -56,7 +56,7 @@ def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
     except ImportError:
         raise RuntimeError(f"{paths[0]}: videos are decoded by OpenCV, which is not installed: python -m pip install "
                            "opencv-python-headless") from None
-    if wanted.rig == "rgbd" or (wanted.rig == "stereo" and len(paths) == 1):
+    if wanted.rig == "rgbd" or (wanted.rig in ("stereo", "mixed") and len(paths) == 1):
         raise RuntimeError(f"{paths[0]}: the video of one camera: a pair is two videos, and none has depth images")
     lone = paths[0] if len(paths) == 1 else None
     if wanted.rig == "mono":
@@ -64,6 +64,10 @@ def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
     made = begin(str(paths[0]), "video")
     made.what = f"{' and '.join(path.name for path in paths)}, {'videos' if len(paths) == 2 else 'video'}"
     made.stamps = "those of the video"
+    if not wanted.calibration:
+        link_calibrations(paths[0].resolve().parent, made.folder, lambda file: is_calibration(file, lone))
+        if not any(made.folder.iterdir()):
+            wanted = replace(wanted, max_frames=1)  # it will be refused
     found = []
     for path, name in zip(paths, ("left", "right") if len(paths) == 2 else ("images",)):
         (made.folder / name).mkdir()
@@ -71,8 +75,8 @@ def unpack_videos(paths: list[Path], wanted: Wanted) -> Unpacked:
         found.append(decode(cv2.VideoCapture(str(path)), path, made.folder / name, wanted))
         made.warnings += found[-1].doubts()
     made.warnings += found[0].doubts_beside(found[1]) if len(found) == 2 else found[0].doubts_alone()
-    if not wanted.calibration:
-        link_calibrations(paths[0].resolve().parent, made.folder, lambda file: is_calibration(file, lone))
+    if lone is not None:
+        made.missing = found[0].guess_of_camera()
     return made
 
 
@@ -111,6 +115,14 @@ class Decoded:
             return [f"the videos of the pair have different lengths, {len(self.times_ns)} and {len(other.times_ns)} images: pairs "
                     "are images of the same time since the begin of each: do both begin at one time?"]
         return []
+
+    def guess_of_camera(self) -> str:
+        """What a camera.txt may hold of a phone that nobody has calibrated."""
+        if self.first is None:
+            return ""
+        height, width = self.first.shape
+        return (f"a phone that is not calibrated yet, whose lens is called X mm (of 36 mm film), has about fx = fy = X * "
+                f"{max(width, height) / 36:.4g}, cx = {width / 2:g}, cy = {height / 2:g} in a camera.txt beside the video")
 
     def doubts_alone(self) -> list[str]:
         """Of the only video."""

@@ -67,13 +67,14 @@ struct depth_image {
 /// A 4 x 4 matrix.
 using pose = std::array<double, 16>;
 
-/// A camera of a rig of several: the left one of a rectified pair, of a pair of two cameras, or a
-/// single one.
+/// A camera of a rig of several: the left one of a rectified pair, of a pair of two cameras, one
+/// with depth images, or a single one.
 struct rig_camera {
   std::string model;           ///< a word of ft::camera_kind
   std::vector<double> camera;  ///< fx, fy, cx, cy, and the model's other parameters
   double baseline = 0;
-  int right = -1;  ///< number of the right camera of its pair; -1 = none
+  int right = -1;          ///< number of the right camera of its pair; -1 = none
+  bool has_depth = false;  ///< a depth image; `baseline` is that of its virtual pair
   pose T_camera_body{};
 };
 struct rig {
@@ -83,8 +84,8 @@ struct rig {
   std::vector<double> wanted;       ///< distorted: fx, fy, cx, cy of both rectified cameras
   pose T_right_left{};
   double baseline = 0;
-  std::optional<double> depth_scale;    ///< rgbd: metres per unit
-  double min_depth = 0, max_depth = 0;  ///< rgbd, metres
+  std::optional<double> depth_scale;    ///< rgbd, multi: metres per unit
+  double min_depth = 0, max_depth = 0;  ///< rgbd, multi, metres
   int raw_width = 0, raw_height = 0;    ///< distorted
 };
 

@@ -31,7 +31,7 @@ found check_rig(rig const& r, int width, int height) {
   if (r.kind == "distorted") { return check(distorted_of(r), width, height); }
   if (r.kind == "multi") {
     bool const pinholes = std::all_of(r.cameras.begin(), r.cameras.end(), [](rig_camera const& c) {
-      return c.model == "pinhole" && c.right < 0;
+      return c.model == "pinhole" && c.right < 0 && !c.has_depth;
     });
     if (pinholes) { return check(multi_of<ft::most_cameras>(r), width, height); }
     return check(ft::library::host::mixed_of<ft::most_cameras>(description_of(r)), width, height);

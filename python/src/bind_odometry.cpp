@@ -50,6 +50,7 @@ ft::camera_description camera_of(rig_camera const& given) {
   }
   c.baseline = given.baseline;
   c.right = given.right;
+  c.has_depth_image = given.has_depth;
   c.T_camera_body = to_ft(given.T_camera_body);
   return c;
 }
@@ -98,6 +99,9 @@ ft::rig_description description_of(rig const& r) {
     rig.cameras = static_cast<int>(cameras_of(r));
     ft::camera_description* to = rig.camera;
     for (rig_camera const& c : r.cameras) { *to++ = camera_of(c); }
+    rig.depth_scale = r.depth_scale.value_or(0);
+    rig.min_depth = r.min_depth;
+    rig.max_depth = r.max_depth;
     return rig;
   }
   auto const kind = r.left.size() == 4 ? camera_kind::pinhole : camera_kind::radtan8;
@@ -133,7 +137,10 @@ public:
     p.loops.present = nb::cast<bool>(options["loops"]);
     p.own_features = nb::cast<bool>(options["own_features"]);
     if (!inertial.is_none()) { p.imu = imu_of(inertial); }
-    is_rgbd_ = r.kind == "rgbd";
+    is_multi_ = r.kind == "multi";
+    for (std::string const& name : image_names(r)) {
+      is_depth_.push_back(name.rfind("the depth ", 0) == 0);
+    }
     has_depth_scale_ = r.depth_scale.has_value();
     if (r.kind == "distorted" && r.raw_width > 0) {
       width_ = r.raw_width;
@@ -391,29 +398,37 @@ private:
       }
       ft::any_images f;
       std::size_t const first = all.size() * of_rig % names_.size();
+      ft::gray_view* next = f.gray;
+      ft::depth_view* next_depth = is_multi_ ? f.depths : &f.depth;
       for (std::size_t i = 0; i < of_rig; ++i) {
         std::string const& name = names_[first + i];
-        if (is_rgbd_ && i == 1) {
-          depth_image const d = kept.depth(h[i], name);
-          require_size(d.width, d.height, name);
-          if (!d.is_float && !has_depth_scale_) {
-            throw argument_error(name +
-                                 " is uint16 and the rig has no depth_scale, metres per unit: "
-                                 "0.001 for millimetres, 1 / 5000 for TUM's images");
-          }
-          f.depth.data = d.data;
-          f.depth.width = d.width;
-          f.depth.height = d.height;
-          f.depth.pitch = d.pitch;
-          f.depth.is_float = d.is_float;
+        if (is_depth_[i]) {
+          *next_depth++ = depth_of(kept, h[i], name);
         } else {
-          f.gray[i] = to_ft(kept.framed(h[i], name));
-          require_size(f.gray[i].width, f.gray[i].height, name);
+          *next = to_ft(kept.framed(h[i], name));
+          require_size(next->width, next->height, name);
+          ++next;
         }
       }
       all.push_back(f);
     }
     return all;
+  }
+  ft::depth_view depth_of(arrays& kept, nb::handle given, std::string const& name) const {
+    depth_image const d = kept.depth(given, name);
+    require_size(d.width, d.height, name);
+    if (!d.is_float && !has_depth_scale_) {
+      throw argument_error(name +
+                           " is uint16 and the rig has no depth_scale, metres per unit: 0.001 for "
+                           "millimetres, 1 / 5000 for TUM's images");
+    }
+    ft::depth_view view;
+    view.data = d.data;
+    view.width = d.width;
+    view.height = d.height;
+    view.pitch = d.pitch;
+    view.is_float = d.is_float;
+    return view;
   }
   void wait_for(arrays const& kept, std::uintptr_t stream) {
     if (kept.on_device()) { inner_->wait_for(reinterpret_cast<void*>(stream)); }
@@ -438,7 +453,8 @@ private:
   owned<ft::any_odometry> inner_;
   std::vector<std::string> names_;  ///< [batch][images of the rig]
   int width_ = 0, height_ = 0, batch_ = 1;
-  bool is_rgbd_ = false;
+  std::vector<bool> is_depth_;  ///< [images of the rig]
+  bool is_multi_ = false;
   bool has_depth_scale_ = false;
   bool gpu_ = false;
   int descriptor_bytes_ = 32;

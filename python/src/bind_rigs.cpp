@@ -27,6 +27,7 @@ rig rig_of(nb::handle given) {
     nb::object const right = h["right"];
     if (!right.is_none()) { c.right = whole(right, "right", 0); }
     c.baseline = number(h["baseline"], "baseline");
+    c.has_depth = nb::cast<bool>(h["has_depth"]);
     c.T_camera_body = kept.matrix(h["T_camera_body"], "T_camera_body");
     r.cameras.push_back(c);
   }
@@ -54,7 +55,10 @@ std::vector<std::string> image_names(rig const& of) {
     std::vector<std::string> names;
     for (std::size_t c = 0; c < of.cameras.size(); ++c) {
       std::string const which = "image of camera " + std::to_string(c);
-      if (of.cameras[c].baseline > 0) {
+      if (of.cameras[c].has_depth) {
+        names.push_back("the " + which);
+        names.push_back("the depth " + which);
+      } else if (of.cameras[c].baseline > 0) {
         names.push_back("the left " + which);
         names.push_back("the right " + which);
       } else {

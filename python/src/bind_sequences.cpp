@@ -3,6 +3,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
+
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/reader.hpp"
 #include "python/src/trajectories.hpp"
@@ -20,6 +22,12 @@ nb::object array_of(seq::image image) {
   auto const h = static_cast<std::size_t>(image.height);
   auto const w = static_cast<std::size_t>(image.width);
   return to_numpy(std::move(image.pixels), {h, w});
+}
+
+nb::object array_of(seq::depth_image depth) {
+  auto const h = static_cast<std::size_t>(depth.height);
+  auto const w = static_cast<std::size_t>(depth.width);
+  return to_numpy(std::move(depth.pixels), {h, w});
 }
 
 char const* kind_of(seq::sequence const& s) {
@@ -54,6 +62,7 @@ nb::list cameras_of(seq::stereo_rig const& rig) {
                                                                 : "Pinhole";
     d["camera"] = values_of(c.camera);
     d["T_camera_body"] = to_numpy(plain(c.T_left_this.inverse()));
+    d["has_depth"] = c.has_depth;
     d["right"] = c.right < 0 ? nb::object(nb::none()) : nb::object(nb::int_(c.right));
     all.append(d);
   }
@@ -159,20 +168,27 @@ seq::sequence opened(std::string const& folder, nb::dict const& options) {
   return seq::sequence::open(folder, o);
 }
 
-/// The images of a frame: those of a rig in its order, left and right, one, or one and its depths.
+/// The images of a frame: those of a rig in its order, depths behind their camera's; left and
+/// right, one, or one and its depths.
 nb::tuple images_of(seq::sequence const& s, seq::stereo_frame f) {
   nb::object const left = array_of(std::move(f.left));
   if (s.kind() == seq::camera_kind::mono) { return nb::make_tuple(left); }
   if (s.kind() == seq::camera_kind::stereo) {
+    nb::list cameras;
+    cameras.append(left);
+    cameras.append(array_of(std::move(f.right)));
+    for (seq::image& more : f.more) { cameras.append(array_of(std::move(more))); }
+    std::vector<int> const& with_depth = s.rig().depth_cameras;
     nb::list all;
-    all.append(left);
-    all.append(array_of(std::move(f.right)));
-    for (seq::image& more : f.more) { all.append(array_of(std::move(more))); }
+    for (std::size_t c = 0; c < nb::len(cameras); ++c) {
+      all.append(cameras[c]);
+      auto const at = std::find(with_depth.begin(), with_depth.end(), static_cast<int>(c));
+      if (at == with_depth.end()) { continue; }
+      all.append(array_of(std::move(f.depths[static_cast<std::size_t>(at - with_depth.begin())])));
+    }
     return nb::tuple(all);
   }
-  auto const h = static_cast<std::size_t>(f.depth.height);
-  auto const w = static_cast<std::size_t>(f.depth.width);
-  return nb::make_tuple(left, to_numpy(std::move(f.depth.pixels), {h, w}));
+  return nb::make_tuple(left, array_of(std::move(f.depth)));
 }
 
 nb::dict errors_of(seq::trajectory_error const& e) {

@@ -76,9 +76,9 @@ class Walk:
         x, y = np.add(self.position(i), offset)
         return [view(self.planes, x + right, y) for right in ((0, BASELINE) if pair else (0,))]
 
-    def depth(self, i):
-        """Millimetres."""
-        row = np.where(is_near(self.position(i)[1]), 1000 * NEAR, 1000 * FAR)
+    def depth(self, i, below=0.0):
+        """Millimetres, of a camera below the left one by some metres."""
+        row = np.where(is_near(self.position(i)[1] + below), 1000 * NEAR, 1000 * FAR)
         return np.repeat(row.astype(np.uint16)[:, None], WIDTH, 1)
 
     def odometry(self, **options):

@@ -67,13 +67,14 @@ class Bag:
         self.write(topic, self.make("sensor_msgs/msg/CompressedImage", header=self.header(time_ns), format=form,
                                     data=np.frombuffer(data, np.uint8)), time_ns)
 
-    def info(self, topic, baseline=0.0, distortion=(0.0,) * 5, time_ns=FIRST_NS, model="plumb_bob", rectified=True):
+    def info(self, topic, baseline=0.0, distortion=(0.0,) * 5, time_ns=FIRST_NS, model="plumb_bob", rectified=True,
+             height=HEIGHT):
         up = str.upper if self.ros1 else str
         roi = self.make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
         matrices = {"d": distortion, "k": [F, 0, CX, 0, F, CY, 0, 0, 1], "r": [1, 0, 0, 0, 1, 0, 0, 0, 1],
                     "p": [F, 0, CX, -F * baseline, 0, F, CY, 0, 0, 0, 1, 0] if rectified else [0.0] * 12}
         self.write(topic, self.make(
-            "sensor_msgs/msg/CameraInfo", header=self.header(time_ns), height=HEIGHT, width=WIDTH, distortion_model=model,
+            "sensor_msgs/msg/CameraInfo", header=self.header(time_ns), height=height, width=WIDTH, distortion_model=model,
             binning_x=0, binning_y=0, roi=roi, **{up(k): np.array(v, np.float64) for k, v in matrices.items()}), time_ns)
 
     def imu(self, topic, time_ns):
@@ -84,7 +85,7 @@ class Bag:
             angular_velocity=self.make(vector, x=0.0, y=0.0, z=0.0), angular_velocity_covariance=unknown,
             linear_acceleration=self.make(vector, x=0.0, y=-9.81, z=0.0), linear_acceleration_covariance=unknown), time_ns)
 
-    def static(self, *motions):
+    def static(self, *motions, topic="/tf_static", time_ns=FIRST_NS):
         """Of (parent, child, T_parent_child) of no rotation, or one about z by a quarter."""
         vector, made = "geometry_msgs/msg/Vector3", []
         for parent, child, T in motions:
@@ -95,7 +96,7 @@ class Bag:
                                     rotation=self.make("geometry_msgs/msg/Quaternion", **q))))
         if "tf2_msgs/msg/TFMessage" not in self.types.types:  # not of rosbags' ROS 1
             self.types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
-        self.write("/tf_static", self.make("tf2_msgs/msg/TFMessage", transforms=made), FIRST_NS)
+        self.write(topic, self.make("tf2_msgs/msg/TFMessage", transforms=made), time_ns)
 
     def pose(self, topic, time_ns):
         self.write(topic, self.make(

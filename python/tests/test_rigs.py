@@ -9,6 +9,7 @@ from conftest import BASELINE, CAMERA, FAR, HEIGHT, NEAR, WIDTH, Walk
 from test_sequences import write_png
 
 import ft
+from ft.unpacking import write_depth_png
 
 ASIDE, ABOVE = (0.3, 0.1), (0.15, -0.05)  # where other cameras of the body are, metres
 
@@ -50,6 +51,42 @@ def test_a_second_pair_carries_on_alone(walk):
             images[0] = images[1] = np.zeros_like(images[0])
         pose = odometry.track(*images, 50_000_000 * i)
         assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+
+
+def depth_camera(offset, camera=CAMERA):
+    T = mounted(offset).T_camera_body
+    return ft.RigCamera(camera, T_camera_body=T, has_depth=True)
+
+
+@pytest.mark.parametrize("metres", [False, True])
+def test_a_depth_camera_beside_a_single_one(walk, device, metres):
+    """It makes the points, which both find."""
+    rig = ft.MultiRig([mounted(ASIDE, baseline=0), depth_camera(ABOVE)], depth_scale=None if metres else 0.001)
+    odometry = odometry_of(rig, device)
+    for i in range(8):
+        grey, = walk.images_at(i, ABOVE, pair=False)
+        depth = walk.depth(i, ABOVE[1])
+        depth = (depth / 1000).astype(np.float32) if metres else depth
+        pose = odometry.track(*walk.images_at(i, ASIDE, pair=False), grey, depth, 50_000_000 * i)
+        assert pose.tracked and pose.metric and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+    assert np.sum(odometry.keypoints()["matched"] & (odometry.keypoints()["camera"] == 0)) > 50
+
+
+def test_depth_images_of_a_rig_are_checked(walk):
+    grey, = walk.images_at(0, ABOVE, pair=False)
+    one, beside = depth_camera(ABOVE), mounted(ASIDE, baseline=0)
+    odometry = odometry_of(ft.MultiRig([beside, one]))
+    with pytest.raises(ValueError, match="depth image of camera 1 is uint16 and the rig has no depth_scale"):
+        odometry.track(grey, grey, walk.depth(0), 0)
+    with pytest.raises(ValueError, match="a frame of 2 images, must be 3"):
+        odometry.track(grey, grey, 0)
+    with pytest.raises(ValueError, match="the depth image of camera 1 has another type than uint16 and float32"):
+        odometry.track(grey, grey, grey, 0)
+    with pytest.raises(ValueError, match="right is 0 and has_depth"):
+        odometry_of(ft.MultiRig([beside, ft.RigCamera(CAMERA, right=0, has_depth=True)]))
+    with pytest.raises(ValueError, match="depth_scale is 0"):
+        odometry_of(ft.MultiRig([beside, one], depth_scale=0.0))
+    assert ft.check_calibration(ft.MultiRig([beside, one]), WIDTH, HEIGHT) == []
 
 
 def test_a_rig_of_one_pair_has_the_answers_of_a_pair(walk):
@@ -265,3 +302,38 @@ def test_a_recording_of_a_mixed_rig_is_tracked(walk, tmp_path):
         assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
         assert set(pose.warnings) == ({"dark"} if i == missing else set())
     assert {0, 2} <= set(odometry.keypoints()["camera"])
+
+
+def test_a_recording_with_a_depth_camera_is_tracked(walk, tmp_path):
+    """Two cameras that do not see the same, one of them with depth images."""
+    frames = 6
+    fx, fy, cx, cy = CAMERA
+    turned = "[[-1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]"
+    for c in range(2):
+        (tmp_path / f"cam{c}").mkdir()
+        with open(tmp_path / "camchain.yaml", "a") as chain:
+            chain.write(f"cam{c}:\n  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {cx}, {cy}]\n  distortion_model: none\n"
+                        f"  distortion_coeffs: []\n  resolution: [{WIDTH}, {HEIGHT}]\n"
+                        + (f"  T_cn_cnm1: {turned}\n" if c else ""))
+    (tmp_path / "depth0").mkdir()
+    for i in range(frames):
+        stamp = f"{1_000_000_000 + 50_000_000 * i}.png"
+        write_png(tmp_path / "cam0" / stamp, walk.frame(i)[0])
+        write_png(tmp_path / "cam1" / stamp, np.full((HEIGHT, WIDTH), 90, np.uint8))
+        write_depth_png(tmp_path / "depth0" / stamp, walk.depth(i))
+    with pytest.warns(UserWarning, match="nothing says the unit of the depth images"):
+        ft.read_sequence(tmp_path, rig="mixed")
+    sequence = ft.read_sequence(tmp_path, rig="mixed", depth_unit=0.001)
+    assert [c.has_depth for c in sequence.rig.cameras] == [True, False] and sequence.depth_unit == 0.001
+    assert [a.dtype.name for a in sequence[0].images] == ["uint8", "uint16", "uint8"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the other camera sees nothing
+        odometry = odometry_of(sequence.rig)
+        for i, frame in enumerate(sequence):
+            pose = odometry.track(*frame.images, frame.time_ns)
+            assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+        assert odometry.keypoints()["depth"].max() == pytest.approx(FAR, rel=0.01)
+        near = ft.read_sequence(tmp_path, rig="mixed", depth_unit=0.001, max_depth=2.5)
+        odometry = odometry_of(near.rig)
+        odometry.track(*near[0].images, 0)
+    assert near.rig.max_depth == 2.5 and odometry.keypoints()["depth"].max() == pytest.approx(NEAR, rel=0.01)

@@ -71,3 +71,12 @@ def test_a_program_passes_and_mistakes_are_found(tmp_path):
         (tmp_path / "program.py").write_text(PROGRAM.replace(right, wrong))
         done = mypy(tmp_path, "program.py")
         assert done.returncode == 1 and f"[{code}]" in done.stdout, wrong + "\n" + done.stdout + done.stderr
+
+
+def test_the_examples_pass(tmp_path):
+    pytest.importorskip("cv2", reason="opencv-python, which an example uses, is not installed")
+    examples = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*/*.py"))
+    assert "main.py" in {file.name for file in examples}
+    for file in examples:
+        done = mypy(tmp_path, file)
+        assert done.returncode == 0, done.stdout + done.stderr

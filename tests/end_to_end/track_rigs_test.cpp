@@ -230,6 +230,15 @@ void write_rig(temp_folder const& folder) {
   folder.write("camchain.yaml", chain);
 }
 
+/// What the camera looks at moves along the wall as it should. Before a wall a turn looks like a
+/// step, so the camera's own place is known less well; more frames do not add to that.
+void expect_path_along_wall(temp_folder const& folder) {
+  auto const last = seq::read_tum(folder.path("out/trajectory.txt")).back().T_world_camera;
+  double const moved = 0.02 * (rig_frames - 1);
+  EXPECT_NEAR((last * Eigen::Vector3d(0, 0, 2)).x(), moved, 0.03 * moved);
+  EXPECT_NEAR(last.translation().x(), moved, 0.1 * moved);
+}
+
 TEST(Rigs, CamerasOfDifferentLensesHaveOnePath) {
   temp_folder const folder;
   write_rig(folder);
@@ -242,12 +251,25 @@ TEST(Rigs, CamerasOfDifferentLensesHaveOnePath) {
   EXPECT_EQ(summary.at("options").at("rig"), "mixed");
   json const header = json::parse(lines_of(read_file(folder.path("recorded/recording.jsonl")))[0]);
   EXPECT_EQ(header.at("model"), "Pinhole");
-  // What the camera looks at moves along the wall as it should. Before a wall a turn looks like a
-  // step, so the camera's own place is known less well; more frames do not add to that.
-  auto const last = seq::read_tum(folder.path("out/trajectory.txt")).back().T_world_camera;
-  double const moved = 0.02 * (rig_frames - 1);
-  EXPECT_NEAR((last * Eigen::Vector3d(0, 0, 2)).x(), moved, 0.03 * moved);
-  EXPECT_NEAR(last.translation().x(), moved, 0.1 * moved);
+  expect_path_along_wall(folder);
+}
+
+TEST(Rigs, ADepthCameraAmongThem) {
+  temp_folder const folder;
+  write_rig(folder);
+  fs::create_directories(folder.path("depth0"));
+  for (auto const& entry : fs::directory_iterator(folder.path("cam0"))) {
+    std::vector<std::uint16_t> const wall(320 * 240, 2000);
+    seq::write_depth_png(folder.path("depth0/" + entry.path().filename().string()),
+                         {320, 240, wall});
+  }
+  outcome const o =
+      track(folder.path(), folder.path("out"), {"--rig", "mixed", "--depth-unit", "0.001"});
+  ASSERT_TRUE(succeeded(o));
+  EXPECT_TRUE(contains(o.out, "cam0 pinhole with depth images; cam1 Kannala-Brandt and cam2"));
+  EXPECT_TRUE(contains(o.out, "depth     taken from 0 to inf m"));
+  EXPECT_EQ(summary_of(folder).at("tracked"), rig_frames);
+  expect_path_along_wall(folder);
 }
 
 // ---- stamps

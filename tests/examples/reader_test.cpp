@@ -1144,7 +1144,7 @@ TEST(reader_tum, opens_colour_and_depth) {
   fs::remove(folder.path("depth.txt"));
   EXPECT_EQ(seq::sequence::open(folder.path()).kind(), seq::camera_kind::mono);
   one.rig = seq::camera_kind::rgbd;
-  EXPECT_TRUE(contains(open_error(folder.path(), one), "neither depth.txt nor associations.txt"));
+  EXPECT_TRUE(contains(open_error(folder.path(), one), "accepted are rgb.txt with depth.txt"));
   one.rig = seq::camera_kind::stereo;
   EXPECT_TRUE(contains(open_error(folder.path(), one), "no second camera"));
 }

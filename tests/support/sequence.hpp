@@ -6,11 +6,15 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <cstdint>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <string>
+#include <vector>
 
+#include "examples/sequence/image_io.hpp"
+#include "examples/sequence/reader.hpp"
 #include "examples/sequence/types.hpp"
 
 namespace seq_test {
@@ -78,6 +82,20 @@ std::string message_of(F const& function) {
 
 inline bool contains(std::string const& text, std::string const& part) {
   return text.find(part) != std::string::npos;
+}
+
+/// Writes a PNG of 64 x 48 pixels whose first is `value`, the others 40.
+inline void put(temp_folder const& folder, std::string const& name, int value) {
+  std::filesystem::create_directories(std::filesystem::path(folder.path(name)).parent_path());
+  seq::image picture{64, 48, std::vector<std::uint8_t>(64 * 48, 40)};
+  picture.pixels[0] = static_cast<std::uint8_t>(value);
+  seq::write_png(folder.path(name), picture);
+}
+
+inline std::vector<std::int64_t> times_of(seq::sequence const& s) {
+  std::vector<std::int64_t> times;
+  for (int i = 0; i < s.size(); ++i) { times.push_back(s.time_ns(i)); }
+  return times;
 }
 
 }  // namespace seq_test

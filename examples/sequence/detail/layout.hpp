@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "examples/sequence/calibration.hpp"
@@ -19,6 +20,7 @@ struct frame_files {
   std::string left;
   std::string second;                  ///< the right image or the depth image; empty for one camera
   std::vector<std::string> more = {};  ///< of the cameras beside the pair; empty = none was taken
+  std::vector<std::string> depths = {};  ///< of stereo_rig::depth_cameras, likewise
 };
 
 /// A line of a list of images.
@@ -27,10 +29,11 @@ struct listed_image {
   std::string file;  ///< where it is; empty where there is no such file
 };
 
-/// The images of a camera beside the pair, sorted by time.
+/// The images of a camera beside the pair, or the depth images of any camera, sorted by time.
 struct camera_images {
-  std::string name;  ///< such as cam2
+  std::string name;  ///< such as cam2, depth2
   std::vector<listed_image> images;
+  int camera = 0;  ///< number of the camera whose depths they are
 };
 
 struct layout_of_files {
@@ -39,9 +42,10 @@ struct layout_of_files {
   std::filesystem::path mav0;  ///< EuRoC only
   int left_camera = 0;         ///< number of KITTI's left camera
   camera_kind kind = camera_kind::stereo;
-  std::vector<std::int64_t> times;  ///< of all frames, for poses.txt
-  std::vector<frame_files> frames;  ///< sorted by time
-  std::vector<camera_images> more;  ///< cameras beside the pair, cam2 ...
+  std::vector<std::int64_t> times;    ///< of all frames, for poses.txt
+  std::vector<frame_files> frames;    ///< sorted by time
+  std::vector<camera_images> more;    ///< cameras beside the pair, cam2 ...
+  std::vector<camera_images> depths;  ///< of a mixed rig, depth0 ...
   unpaired_images unpaired;
   std::string stamps_from;    ///< for people: which file, or the names
   std::string second_folder;  ///< for people: where images of a second camera would be
@@ -58,6 +62,10 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
 
 // Its parts: they fill kind, times, frames, unpaired and warnings of a layout whose root is known.
 
+/// Depth images were asked for, and there are none. @throws seq::error that says what is accepted
+[[noreturn]] void refuse_depths(layout_of_files const& layout);
+/// A pair was asked for, and there is one camera. @throws seq::error @param what is missing
+[[noreturn]] void refuse_pair(std::string const& what);
 void find_euroc_frames(layout_of_files& layout, open_options const& options);
 void find_kitti_frames(layout_of_files& layout, open_options const& options);
 void find_tum_frames(layout_of_files& layout, open_options const& options);
@@ -65,6 +73,18 @@ void find_tum_frames(layout_of_files& layout, open_options const& options);
 /// @pre has_image_folders(layout.root)
 void find_folder_frames(layout_of_files& layout, open_options const& options);
 bool has_image_folders(std::filesystem::path const& root);
+
+struct camera_folders {
+  std::filesystem::path left, right;        ///< right is empty for one camera
+  std::string right_name = {};              ///< of the folder, also where it is not there
+  std::vector<std::filesystem::path> more;  ///< of cam0, cam1: cam2 ...
+  std::vector<std::pair<int, std::filesystem::path>> depths =
+      {};  ///< depth0 ..., by the camera's number
+};
+
+camera_folders find_camera_folders(std::filesystem::path const& root);
+/// `folder`, or its `data`, whichever has images; empty if neither has.
+std::filesystem::path with_images(std::filesystem::path const& folder);
 
 /// `folder`/`name`, or the same stem with another image extension; empty if neither exists.
 std::string find_image(std::filesystem::path const& folder, std::string const& name);
@@ -80,9 +100,9 @@ struct two_lists {
 /// Pairs the images of two lists by the nearest time. @throws seq::error without any pair
 void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& layout);
 
-/// Adds the images of the cameras beside the pair to the frames, those that are nearest to the left
-/// one within the limit, none where there is none. A camera without images, or without a
-/// calibration, leaves the rig, and those after it. @throws seq::error without any frame
+/// Adds the images of the cameras beside the pair, and depth images, to the frames: those that are
+/// nearest to the left one within the limit, none where there is none. A camera without images, or
+/// without a calibration, leaves the rig, and those after it. @throws seq::error without any frame
 void add_cameras(calibration& calib, open_options const& options, layout_of_files& layout);
 
 /// The frames of one camera: the images whose files are there. @param path of the list

@@ -26,6 +26,7 @@ struct depth_unit {
   std::string from;            ///< for people
   bool assumed = false;        ///< nobody says it
   bool known_to_suit = false;  ///< the recording is one of those that have the assumed unit
+  bool camera_txt = true;      ///< a camera.txt may say it
 };
 
 /// That which was asked for, that of the calibration, or else the one of TUM RGB-D.

@@ -203,6 +203,7 @@ void depths_give_the_poses_of_images(Exec const& exec, ft::rgbd_rig<Camera> cons
   auto const frames = depth_walk(rig.camera);
   auto orb = params().orb;
   orb.exact_positions = orb.refine_positions = true;
+  orb.corner_ratio = ft::odometry_corner_ratio;
   ft::orb_extractor<Exec> extractor(exec, orb, 1);
   ft::odometry<Exec, ft::rgbd_rig<Camera>> odo(exec, rig, params(false));
   std::vector<ft::tracking> want;

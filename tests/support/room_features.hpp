@@ -64,6 +64,7 @@ template <typename Exec>
 std::vector<pair_features> extract(Exec const& exec, ft::rectified_rig const& rig,
                                    ft::orb_params orb, std::vector<stereo_frame> const& frames) {
   orb.exact_positions = orb.refine_positions = true;
+  orb.corner_ratio = ft::odometry_corner_ratio;
   ft::orb_extractor<Exec> extractor(exec, orb, 2);
   ft::stereo_matcher<Exec> matcher(rig, extractor, ft::column_rule::least_squares);
   std::vector<pair_features> all;

@@ -412,7 +412,7 @@ def wanted():
         name = case["from"]
         if name not in files:
             records = json.loads((RESULTS / name).read_text())["records"]
-            files[name] = [row for record in records for row in record["tables"]["rows"]]
+            files[name] = [row for record in records for row in record["tables"].get("rows", [])]
         keys = [k for k in ("scenario", "recording", "every") if k in case]
         rows = [r for r in files[name] if all(r.get(k) == case[k] for k in keys)]
         values = [figure_of(r, case["figure"]) for r in rows]

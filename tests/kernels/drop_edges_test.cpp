@@ -111,7 +111,8 @@ protected:
           std::uint8_t* const row =
               bytes.data() + b * geometry.bytes + geometry.offset[l] + y * geometry.stride[l];
           for (int x = 0; x < geometry.width[l]; ++x) {
-            int const noise = step == 0 ? 0 : static_cast<int>(random() % (2u * step + 1)) - step;
+            int const noise =
+                static_cast<int>(random() % static_cast<unsigned>(2 * step + 1)) - step;
             row[x] = static_cast<std::uint8_t>(std::clamp(128 + (x / 4 % 2) * 60 + noise, 0, 255));
           }
         }

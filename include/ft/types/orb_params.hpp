@@ -17,7 +17,8 @@ enum class tie_rule {
 struct orb_params {
   int width = 0;  ///< of every image, pixels
   int height = 0;
-  int features = 1200;  ///< wanted per image; the result may have a few more
+  int features = 1200;  ///< wanted per image; the result may have a few more, and with corner_ratio
+                        ///< fewer
   /// Wanted of images in which a map of one camera may begin; at least `features`, or 0 = as many.
   /// In an odometry of one camera 0 is five times `features`, as in ORB-SLAM3; in others it is 0.
   int start_features = 0;
@@ -26,8 +27,8 @@ struct orb_params {
   int ini_threshold = 20;  ///< corner threshold, grey levels
   int min_threshold = 7;   ///< used in cells that stay empty at ini_threshold; not above it
   /// Least ratio of the eigenvalues of a corner's structure tensor, [0, 1]: corners of a smaller
-  /// one lie on an edge, and are left out; see drop_edges(). 0 = all are kept, as in ORB-SLAM3; but
-  /// in an odometry that has depths 0 is odometry_corner_ratio.
+  /// one lie on an edge, or beside a stronger one, and are left out; see drop_edges(). 0 = all are
+  /// kept, as in ORB-SLAM3; but in an odometry that has depths 0 is odometry_corner_ratio.
   float corner_ratio = 0;
   /// Size of masks, pixels, up to 16384 a side. A mask is stretched over its image. 0 = no masks
   int mask_width = 0;

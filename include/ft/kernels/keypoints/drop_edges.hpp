@@ -121,9 +121,11 @@ struct drop_edges_of_level {
 
 /// Drops from the kept corners those whose structure tensor, over 7 x 7 pixels of their level, has
 /// eigenvalues of a smaller ratio than `ratio`: along the edge on which such a corner lies its
-/// position is 1 / sqrt(ratio) times as uncertain as across it, or more. The others stay in their
-/// order. Asynchronous on `exec`; allocates nothing; one launch.
+/// position is 1 / sqrt(ratio) times as uncertain as across it, or more. A weak corner within 4
+/// pixels of a much stronger edge is dropped as well. The others stay in their order. Asynchronous
+/// on `exec`; allocates nothing; one launch.
 /// @param ratio [0, 1]; 0 keeps all
+/// @pre the corners' layout is that of the pyramid
 /// @throws bad_argument for another ratio or another number of images
 template <typename Exec>
 void drop_edges(Exec const& exec, image_pyramid_view const& pyramid, float ratio,

@@ -84,7 +84,7 @@ TEST(check_params, names_the_value_and_the_limits) {
   EXPECT_EQ(refusal(places), "ft: min_share is 2, must be in [0, 1]");
 }
 
-/// Where a value means off, it stays allowed.
+/// Where a value means off, or the default, it stays allowed.
 TEST(check_params, takes_values_that_mean_off) {
   auto p = with_imu();
   p.orb.start_features = p.orb.mask_width = p.orb.mask_height = 0;

@@ -119,6 +119,29 @@ struct corners_view {
   FT_HOST_DEVICE corner* level_list(int image, int l) const { return list + level_slot(image, l); }
 };
 
+namespace detail {
+
+/// Keeps those corners of a list for which keep(corner) holds, in their order. All threads of a
+/// group call. @return how many
+template <typename Group, typename Keep>
+FT_HOST_DEVICE int keep_corners(Group g, corner* list, int n, Keep const& keep) {
+  int kept = 0;
+  for (int base = 0; base < n; base += g.size()) {
+    int const i = base + g.rank();
+    corner const c = i < n ? list[i] : corner{};
+    bool const stays = i < n && keep(c);
+    int total = 0;
+    int const rank = g.exclusive_scan(static_cast<int>(stays), total);
+    g.sync();  // all reads before the first write
+    if (stays) { list[kept + rank] = c; }
+    kept += total;
+  }
+  g.sync();
+  return kept;
+}
+
+}  // namespace detail
+
 /// Places the arrays into an arena.
 inline void carve(carver& c, corners_view& v, corner_layout const& layout, int batch) {
   v.layout = layout;

@@ -54,21 +54,11 @@ struct mask_level {
                                  corners_view const& corners) const {
     int const image = item / corners.layout.levels;
     int const l = item % corners.layout.levels;
-    corner* const list = corners.level_list(image, l);
-    int const n = corners.list_count[item];
-    int kept = 0;
-    for (int base = 0; base < n; base += g.size()) {
-      int const i = base + g.rank();
-      corner const c = i < n ? list[i] : corner{};
-      bool const keep = i < n && masks.allows(image, c.x + corner_border, c.y + corner_border,
-                                              geometry.width[l], geometry.height[l]);
-      int total = 0;
-      int const rank = g.exclusive_scan(static_cast<int>(keep), total);
-      g.sync();  // all reads before the first write
-      if (keep) { list[kept + rank] = c; }
-      kept += total;
-    }
-    g.sync();
+    int const kept = keep_corners(
+        g, corners.level_list(image, l), corners.list_count[item], [&](corner const& c) {
+          return masks.allows(image, c.x + corner_border, c.y + corner_border, geometry.width[l],
+                              geometry.height[l]);
+        });
     if (g.rank() == 0) { corners.list_count[item] = kept; }
   }
 };

@@ -15,7 +15,6 @@
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
-#include "ft/core/group.hpp"
 #include "ft/kernels/detail/packed_pixels.hpp"
 #include "ft/kernels/distribution/layout.hpp"
 #include "ft/types/images.hpp"
@@ -98,21 +97,9 @@ struct drop_edges_of_level {
     corner* const list =
         v.kept + static_cast<std::ptrdiff_t>(image) * v.layout.total + v.layout.first[l];
     gray_view const level = pyramid.level(image, l);
-    int const n = v.kept_count[item];
-    int kept = 0;
-    for (int base = 0; base < n; base += g.size()) {
-      int const i = base + g.rank();
-      corner const c = i < n ? list[i] : corner{};
-      bool const keep =
-          i < n &&
-          structure_tensor::at(level, c.x + corner_border, c.y + corner_border).is_corner(limit);
-      int total = 0;
-      int const rank = g.exclusive_scan(static_cast<int>(keep), total);
-      g.sync();  // all reads before the first write
-      if (keep) { list[kept + rank] = c; }
-      kept += total;
-    }
-    g.sync();
+    int const kept = keep_corners(g, list, v.kept_count[item], [&](corner const& c) {
+      return structure_tensor::at(level, c.x + corner_border, c.y + corner_border).is_corner(limit);
+    });
     if (g.rank() == 0) { v.kept_count[item] = kept; }
   }
 };

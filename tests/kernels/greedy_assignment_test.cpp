@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <bitset>
 #include <cmath>
 #include <cstdint>
 #include <memory>
@@ -105,7 +106,7 @@ struct tally {
 int bit_distance(ft::descriptor const& a, ft::descriptor const& b) {
   int distance = 0;
   for (int i = 0; i < 8; ++i) {
-    for (std::uint32_t bits = a.words[i] ^ b.words[i]; bits != 0; bits &= bits - 1) { ++distance; }
+    distance += static_cast<int>(std::bitset<32>(a.words[i] ^ b.words[i]).count());
   }
   return distance;
 }
@@ -132,16 +133,15 @@ std::vector<int> keypoints_in_area(scene const& s, int image, ft::search_window 
   std::vector<std::tuple<int, int, int>> found;
   for (int k = 0; k < s.count[at(image)]; ++k) {
     auto const i = at(static_cast<std::ptrdiff_t>(image) * s.capacity + k);
-    int const cx = static_cast<int>(std::round((s.x[i] - g.min_x) * g.inv_width));
-    int const cy = static_cast<int>(std::round((s.y[i] - g.min_y) * g.inv_height));
-    if (cx < cx0 || cx > cx1 || cy < cy0 || cy > cy1 || cx >= g.cols || cy >= g.rows) { continue; }
+    if (!(std::fabs(s.x[i] - w.x) < w.radius && std::fabs(s.y[i] - w.y) < w.radius)) { continue; }
     if (check_level &&
         (s.octave[i] < w.min_level || (w.max_level >= 0 && s.octave[i] > w.max_level))) {
       continue;
     }
-    if (std::fabs(s.x[i] - w.x) < w.radius && std::fabs(s.y[i] - w.y) < w.radius) {
-      found.emplace_back(cx, cy, k);
-    }
+    int const cx = static_cast<int>(std::round((s.x[i] - g.min_x) * g.inv_width));
+    int const cy = static_cast<int>(std::round((s.y[i] - g.min_y) * g.inv_height));
+    bool const inside = cx >= cx0 && cx <= cx1 && cy >= cy0 && cy <= cy1;
+    if (inside && cx < g.cols && cy < g.rows) { found.emplace_back(cx, cy, k); }
   }
   std::sort(found.begin(), found.end());
   std::vector<int> keypoints;

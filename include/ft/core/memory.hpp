@@ -38,17 +38,23 @@ public:
     state_ = static_cast<std::uint64_t>(FT_NEW_MEMORY_SEED) + (++allocations << 32);
   }
   void write(void* to, std::size_t bytes) {
-    for (std::size_t at = 0; at < bytes; at += sizeof(std::uint64_t)) {
-      std::uint64_t z = state_ += 0x9e3779b97f4a7c15u;
-      z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
-      z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
-      z ^= z >> 31;
-      std::size_t const left = bytes - at;
-      std::memcpy(static_cast<unsigned char*>(to) + at, &z, left < sizeof z ? left : sizeof z);
+    auto* const target = static_cast<unsigned char*>(to);
+    std::size_t at = 0;
+    for (; bytes - at >= sizeof(std::uint64_t); at += sizeof(std::uint64_t)) {
+      std::uint64_t const word = next();
+      std::memcpy(target + at, &word, sizeof word);
     }
+    std::uint64_t const word = next();
+    std::memcpy(target + at, &word, bytes - at);
   }
 
 private:
+  std::uint64_t next() {
+    std::uint64_t z = state_ += 0x9e3779b97f4a7c15u;
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return z ^ (z >> 31);
+  }
   std::uint64_t state_;
 };
 #endif

@@ -302,12 +302,13 @@ else
   if ((!quick)); then step "Examples, benches: build" build_all "$build"; fi
 fi
 if ((!quick)); then
+  # Those that leave a core idle come before the sanitizers, which are built there.
   step "Python: package and tests" test_python
+  step "Consumers" tests/consumers/run.sh "$build"
+  step "Fuzzers" fuzz
   step "Sanitizers: build" build_sanitizers
   step "Sanitizers: tests" run_sanitizer_tests
   step "ThreadSanitizer: the shim beside a mapping thread, an odometry beside its adjustments" \
     run_ctest tsan "$ft_root/build-tsan" -R 'orbslam3_tests:.*(beside_mapping|two_trackers)|thread_tests'
-  step "Fuzzers" fuzz
-  step "Consumers" tests/consumers/run.sh "$build"
 fi
 run_steps

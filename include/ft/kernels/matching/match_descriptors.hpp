@@ -24,11 +24,11 @@ namespace detail {
 /// compared, and tests it.
 template <typename D>
 struct accept_match {
-  using scratch = no_scratch;
+  using scratch = std::conditional_t<has_shortlist<D>, rescored_scratch<D>, no_scratch>;
   using distance_type = descriptor_distance<D>;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int i, descriptor_rows<D> const& query,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int i, descriptor_rows<D> const& query,
                                  descriptor_rows<D> const& train,
                                  match_tests<distance_type> const& tests,
                                  match_workspace<distance_type> const& work,
@@ -44,10 +44,11 @@ struct accept_match {
                is_clear(found, tests);
       };
       if constexpr (Group::max_threads > 1 && has_shortlist<D>) {
-        rescored_match<D> const rows{query, train, in.queries, in.trains, work, i};
+        rescored_match<D> const rows{s, query, train, in.queries, in.trains, work, i};
         best = rows.nearest(g);
         accepted = passes(best) && (!tests.mutual || rows.is_nearest_of(g, best.first));
       } else {
+        static_cast<void>(s);
         best = nearest(g, in, work, i);
         accepted = passes(best) && (!tests.mutual || best_of(g, in, work, best.first.index) == i);
       }
@@ -146,8 +147,9 @@ void match_descriptors(Exec const& exec, descriptor_rows<D> const& query,
     for_each_item<per_block<detail::match_threads>>(exec, strips, detail::match_strips<D>{}, query,
                                                     train, tests.mutual, work);
   }
-  for_each_item<per_warp>(exec, query.capacity, detail::accept_match<D>{}, query, train, tests,
-                          work, out);
+  // An early launch would spread warps unevenly over the multiprocessors.
+  for_each_item<per_warp>(detail::with_order(exec, detail::launch_order::full_wave), query.capacity,
+                          detail::accept_match<D>{}, query, train, tests, work, out);
 }
 
 }  // namespace FT_ABI

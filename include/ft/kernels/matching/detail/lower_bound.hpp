@@ -64,6 +64,11 @@ struct alignas(16) row_bound {
 inline constexpr float no_bound = std::numeric_limits<float>::lowest();
 inline constexpr float unlimited = std::numeric_limits<float>::infinity();
 
+/// Eight numbers as tensor cores take them, in each word the first in the lower bits.
+struct alignas(16) rounded_numbers {
+  std::uint32_t words[4];
+};
+
 template <typename D, typename Base>
 struct lower_bound;
 
@@ -89,13 +94,37 @@ struct lower_bound<D, vector_descriptor<T, N, Metric>> {
     return number_of(a) | number_of(b) << 16;
 #endif
   }
+  /// Numbers 8 i to 8 i + 7 of a row. Past the last number they are 0.
+  FT_HOST_DEVICE FT_INLINE static rounded_numbers read(D const& row, int i, float (&numbers)[8]) {
+    rounded_numbers to;
+    if constexpr (of_halves && N % 8 == 0) {  // as they are stored
+      struct alignas(16) stored {
+        T of[8];
+      };
+      auto const mine = part_at<stored>(row.of, i);
+      memcpy(to.words, mine.of, sizeof to.words);
+      FT_UNROLL
+      for (int k = 0; k < 8; ++k) { numbers[k] = static_cast<float>(mine.of[k]); }
+    } else {
+      FT_UNROLL
+      for (int half = 0; half < 2; ++half) {
+        int const p = 2 * i + half;
+        four_floats const v = p < D::parts ? D::part_of(row, p) : four_floats{};
+        FT_UNROLL
+        for (int k = 0; k < 4; ++k) { numbers[4 * half + k] = v.of[k]; }
+      }
+      FT_UNROLL
+      for (int w = 0; w < 4; ++w) { to.words[w] = rounded(numbers[2 * w], numbers[2 * w + 1]); }
+    }
+    return to;
+  }
   /// Adds a number to s and its error to |a - a'|^2. @param rounded the number, in the lower bits
   FT_HOST_DEVICE FT_INLINE static void add(float& squares, float& errors, float v,
                                            std::uint32_t rounded) {
     squares += v * v;
     float lost = 0;
     if constexpr (of_halves) {
-      lost = v > -0x1p-14f && v < 0x1p-14f ? v : 0.0f;
+      lost = ::fabsf(v) < 0x1p-14f ? v : 0.0f;
     } else {
       std::uint32_t const bits = rounded << 16;
       memcpy(&lost, &bits, sizeof lost);

@@ -18,10 +18,21 @@ inline namespace FT_ABI {
 
 namespace detail {
 
+/// The query row and the two train rows that are likely its nearest, and their sums.
+template <typename D>
+struct rescored_scratch {
+  using reader = row_parts<D>;
+  static constexpr int each = min_of(32, reader::parts);  ///< parts of a row at a time
+  /// One more, so that rows begin in other banks.
+  typename reader::part rows[3][each + 1];
+  typename reader::sum sums[5];
+};
+
 /// The strict distances of a query row, a warp together. Of each strip a lane has the shortlist.
 template <typename D>
 struct rescored_match {
   static_assert(most_strips <= 32, "a lane for each strip");
+  rescored_scratch<D>& scratch;
   descriptor_rows<D> const& query;
   descriptor_rows<D> const& train;
   strip_plan const& queries;
@@ -42,29 +53,32 @@ struct rescored_match {
     }
     two_nearest_rows<float> const likely =
         g.reduce(merge_nearest{}(bounded(kept.first), bounded(kept.second)), merge_nearest{});
-    one of_likely = one::none();
-    if (g.rank() < 2) {
-      of_likely = compared(own, (g.rank() == 0 ? likely.first : likely.second).index, true);
-    }
-    one const first{g.shuffle(of_likely.distance, 0), g.shuffle(of_likely.index, 0)};
-    one const second{g.shuffle(of_likely.distance, 1), g.shuffle(of_likely.index, 1)};
+    one first, second;
+    compare_likely(g, likely.first.index, likely.second.index, first, second);
     float const limit = max_of(first.distance, second.distance);
     bool const any_of_strip = rest < no_distance<float> && rest <= limit;
 
-    auto best = two_nearest_rows<float>::none();
+    auto const may_be_nearer = [&](one item) {
+      return item.index != no_row && item.distance <= limit && item.index != likely.first.index &&
+             item.index != likely.second.index;
+    };
+    bool const has_more = any_of_strip || may_be_nearer(kept.first) || may_be_nearer(kept.second);
+    using two = two_nearest_rows<float>;
+    two best = merge_nearest{}(two{first, one::none()}, two{second, one::none()});
+    if (!g.any(has_more)) { return best; }
+
+    if (g.rank() != 0) { best = two::none(); }
     FT_NO_UNROLL
     for (int k = 0; k < 2 && !any_of_strip; ++k) {
       one const item = k == 0 ? kept.first : kept.second;
-      if (item.index == no_row || item.distance > limit) { continue; }
-      one const d = item.index == first.index    ? first
-                    : item.index == second.index ? second
-                                                 : compared(own, item.index, true);
-      best = merge_nearest{}(best, {d, one::none()});
+      if (!may_be_nearer(item)) { continue; }
+      best = merge_nearest{}(best, {compared(own, item.index, true), one::none()});
     }
     for (unsigned left = g.ballot(any_of_strip); left != 0; left &= left - 1) {
       int const strip = trailing_zeros(left);
       FT_NO_UNROLL
       for (int j = trains.begin(strip) + g.rank(); j < trains.end(strip); j += g.size()) {
+        if (j == likely.first.index || j == likely.second.index) { continue; }
         best = merge_nearest{}(best, {compared(own, j, true), one::none()});
       }
     }
@@ -105,6 +119,52 @@ private:
   FT_HOST_DEVICE static two_nearest_rows<float> bounded(one item) {
     bool const has_bound = item.distance > no_bound;
     return {has_bound ? item : one::none(), one::none()};
+  }
+  /// The distances to two train rows, as distance_by_parts(): rows are loaded by the warp, and a
+  /// lane adds up each sum.
+  template <typename Group>
+  FT_HOST_DEVICE void compare_likely(Group g, int first, int second, one& to_first,
+                                     one& to_second) const {
+    constexpr int each = rescored_scratch<D>::each;
+    D const& mine = query.row[own];
+    D const& nearest = first == no_row ? mine : train.row[first];
+    D const& next = second == no_row ? mine : train.row[second];
+    // Own with first, own with second, and, where the model uses them, each with itself.
+    int const rank = g.rank();
+    int const a = rank < 3 ? 0 : rank - 2;
+    int const b = rank < 2 ? rank + 1 : rank - 2;
+    bool const adds = rank < (reader::uses_own_sums ? 5 : 2);
+    typename reader::sum sum{};
+    constexpr int together = 4;  // parts that are read at the same time
+    constexpr bool is_whole = each % together == 0 && reader::parts % each == 0;
+    FT_NO_UNROLL
+    for (int p = 0; p < reader::parts; p += each) {
+      g.sync();
+      if (rank < each && p + rank < reader::parts) {
+        scratch.rows[0][rank] = reader::part_of(mine, p + rank);
+        scratch.rows[1][rank] = reader::part_of(nearest, p + rank);
+        scratch.rows[2][rank] = reader::part_of(next, p + rank);
+      }
+      g.sync();
+      int const n = adds ? min_of(each, reader::parts - p) : 0;
+      FT_NO_UNROLL
+      for (int from = 0; from < n; from += together) {
+        FT_UNROLL
+        for (int k = from; k < from + together; ++k) {
+          if (is_whole || k < n) { reader::add(sum, scratch.rows[a][k], scratch.rows[b][k]); }
+        }
+      }
+    }
+    if (adds) { scratch.sums[rank] = sum; }
+    g.sync();
+    auto const usable = [&](int k, int index) {
+      bool const own_sums = reader::uses_own_sums;
+      float const d = usable_distance(reader::distance_of(
+          scratch.sums[k], scratch.sums[own_sums ? 2 : 0], scratch.sums[own_sums ? 3 + k : 0]));
+      return index != no_row && d < no_distance<float> ? one{d, index} : one::none();
+    };
+    to_first = usable(0, first);
+    to_second = usable(1, second);
   }
   /// The distance of two rows, as distance_by_parts(), with the index of one of them. Several parts
   /// are loaded at a time.

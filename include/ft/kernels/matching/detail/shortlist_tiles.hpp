@@ -67,13 +67,19 @@ struct merge_short_columns {
 };
 
 struct shortlist_scratch {
-  static constexpr int each = 64;  ///< numbers of a row at a time
+  static constexpr int each = 128;  ///< numbers of a row at a time
   /// Four words more, so that the eight rows that a warp reads lie in different banks.
-  std::uint32_t rows[2][match_side][each / 2 + 4];
+  using row = rounded_numbers[each / 8 + 1];
+  struct of_columns {
+    nearest_row<float> kept[pairs_of_mma::lines][match_side + 4];
+    float rest[pairs_of_mma::lines][match_side + 4];
+  };
+  union {
+    row rows[2][match_side];
+    of_columns of_train;  ///< after the products
+  };
   row_bound bounds[2][match_side];
   short_row best[match_side];
-  nearest_row<float> of_train[pairs_of_mma::lines][match_side + 4];
-  float rest_of_train[pairs_of_mma::lines][match_side + 4];
 };
 
 static_assert(sizeof(shortlist_scratch) <= 47 * 1024, "static shared memory of a block");
@@ -90,19 +96,25 @@ struct shortlist_tiles {
       for (int t = in.first_train; t < in.last_train; t += match_side) {
         float products[pairs::rows][pairs::columns] = {};
         multiply_tile(g, s, in, q, t, products);
-        bound_tile(g, s, in, q, t, products, best);
+        if (in.of_train == nullptr) {
+          bound_tile<false>(g, s, in, q, t, products, best);
+        } else {
+          bound_tile<true>(g, s, in, q, t, products, best);
+          keep_of_train(g, s, in, q, t);
+        }
       }
       keep_of_query(g, s, in, q, best);
     }
   }
 
 private:
-  using reader = row_parts<D>;
   using pairs = pairs_of_mma;
   using limit = lower_bound<D, base_model_of<D>>;
-  /// Threads that load a row together, and the parts of a row that lie in shared memory.
+  /// Threads that load a row together.
   static constexpr int loaders = match_threads / match_side;
-  static constexpr int each_parts = shortlist_scratch::each / 4;
+  /// Runs of eight numbers of a row, and those that lie in shared memory.
+  static constexpr int runs = ceil_div(base_model_of<D>::size, 8);
+  static constexpr int each_runs = min_of(shortlist_scratch::each / 8, runs);
 
   /// Products of all pairs of a tile, and what the bound takes of its rows.
   template <typename Group>
@@ -110,12 +122,13 @@ private:
                                            int q, int t,
                                            float (&products)[pairs::rows][pairs::columns]) {
     float squares[2] = {}, errors[2] = {};
-    for (int first = 0; first < reader::parts; first += each_parts) {
+    for (int first = 0; first < runs; first += each_runs) {
       g.sync();
       load(g, s.rows[0], in.query + q, in.last_query - q, first, squares[0], errors[0]);
       load(g, s.rows[1], in.train + t, in.last_train - t, first, squares[1], errors[1]);
       g.sync();
-      int const steps = ceil_div(min_of(each_parts, reader::parts - first), 4);
+      constexpr bool is_whole = runs % each_runs == 0;
+      int const steps = ceil_div(is_whole ? each_runs : min_of(each_runs, runs - first), 2);
       for (int k = 0; k < steps; ++k) { multiply(g, s, 8 * k, products); }
     }
     FT_UNROLL
@@ -128,28 +141,25 @@ private:
     }
     g.sync();
   }
-  /// Parts of 64 rows; instead of rows that are not there, the last one. Past the last part zeros.
+  /// Numbers of 64 rows; instead of rows that are not there, the last one. Past the last run zeros.
   template <typename Group>
-  FT_HOST_DEVICE static void load(Group g,
-                                  std::uint32_t (&to)[match_side][shortlist_scratch::each / 2 + 4],
-                                  D const* rows, int count, int first, float& squares,
-                                  float& errors) {
+  FT_HOST_DEVICE static void load(Group g, shortlist_scratch::row (&to)[match_side], D const* rows,
+                                  int count, int first, float& squares, float& errors) {
     int const row = g.rank() / loaders;
     D const& mine = rows[min_of(row, count - 1)];
     FT_UNROLL
-    for (int k = 0; k < each_parts / loaders; ++k) {
-      int const p = k * loaders + g.rank() % loaders;
-      typename reader::part v{};
-      if (reader::parts % each_parts == 0 || first + p < reader::parts) {
-        v = reader::part_of(mine, first + p);
+    for (int k = 0; k < ceil_div(each_runs, loaders); ++k) {
+      int const r = k * loaders + g.rank() % loaders;
+      float v[8] = {};
+      rounded_numbers both{};
+      if ((runs % each_runs == 0 && each_runs % loaders == 0) || first + r < runs) {
+        both = limit::read(mine, first + r, v);
       }
       FT_UNROLL
-      for (int w = 0; w < 2; ++w) {
-        std::uint32_t const both = limit::rounded(v.of[2 * w], v.of[2 * w + 1]);
-        limit::add(squares, errors, v.of[2 * w], both & 0xffffu);
-        limit::add(squares, errors, v.of[2 * w + 1], both >> 16);
-        to[row][2 * p + w] = both;
+      for (int i = 0; i < 8; ++i) {
+        limit::add(squares, errors, v[i], both.words[i / 2] >> 16 * (i % 2) & 0xffffu);
       }
+      to[row][r] = both;
     }
   }
   /// Sixteen numbers of all rows, from a word on, a warp together. What lies in which thread: PTX
@@ -159,12 +169,13 @@ private:
                                       float (&products)[pairs::rows][pairs::columns]) {
     int const row = pairs::row(g.rank(), 0);
     int const at = word + g.rank() % 4;
-    std::uint32_t const a[4] = {s.rows[0][row][at], s.rows[0][row + 8][at], s.rows[0][row][at + 4],
-                                s.rows[0][row + 8][at + 4]};
+    auto const word_of = [&](int of, int r, int w) { return s.rows[of][r][w / 4].words[w % 4]; };
+    std::uint32_t const a[4] = {word_of(0, row, at), word_of(0, row + 8, at),
+                                word_of(0, row, at + 4), word_of(0, row + 8, at + 4)};
     FT_UNROLL
     for (int c = 0; c < pairs::columns; c += 2) {
       int const column = pairs::share(g.rank()) * 32 + c * 4 + g.rank() % 32 / 4;
-      std::uint32_t const b[2] = {s.rows[1][column][at], s.rows[1][column][at + 4]};
+      std::uint32_t const b[2] = {word_of(1, column, at), word_of(1, column, at + 4)};
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
 #define FT_MULTIPLY(TYPE)                                                              \
   asm volatile("mma.sync.aligned.m16n8k16.row.col.f32." TYPE "." TYPE                  \
@@ -183,8 +194,8 @@ private:
 #endif
     }
   }
-  /// Bounds of all pairs of a tile, for the rows and, where asked for, the columns.
-  template <typename Group>
+  /// Bounds of all pairs of a tile, for the rows and, if Mutual, the columns.
+  template <bool Mutual, typename Group>
   FT_HOST_DEVICE static void bound_tile(Group g, shortlist_scratch& s, strip_pair<D> const& in,
                                         int q, int t,
                                         float const (&products)[pairs::rows][pairs::columns],
@@ -199,14 +210,13 @@ private:
         int const row = pairs::row(g.rank(), r);
         float const bound = limit::below(products[r][c], s.bounds[0][row], theirs);
         best[r].add(t + column < in.last_train ? bound : no_distance<float>, t + column);
-        found.add(q + row < in.last_query ? bound : no_distance<float>, q + row);
+        if (Mutual) { found.add(q + row < in.last_query ? bound : no_distance<float>, q + row); }
       }
-      if (in.of_train != nullptr) {
-        s.of_train[pairs::line(g.rank())][column] = found.kept;
-        s.rest_of_train[pairs::line(g.rank())][column] = found.rest;
+      if (Mutual) {
+        s.of_train.kept[pairs::line(g.rank())][column] = found.kept;
+        s.of_train.rest[pairs::line(g.rank())][column] = found.rest;
       }
     }
-    if (in.of_train != nullptr) { keep_of_train(g, s, in, q, t); }
   }
   /// Merges what the threads of a query row found.
   template <typename Group>
@@ -238,7 +248,7 @@ private:
     auto all = short_column::none();
     FT_UNROLL
     for (int k = g.rank() % loaders; k < pairs::lines; k += loaders) {
-      all = merge_short_columns{}(all, {s.of_train[k][column], s.rest_of_train[k][column]});
+      all = merge_short_columns{}(all, {s.of_train.kept[k][column], s.of_train.rest[k][column]});
     }
     all = g.template reduce_lanes<loaders>(all, merge_short_columns{});
     if (g.rank() % loaders != 0 || j >= in.last_train) { return; }

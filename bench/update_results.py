@@ -292,6 +292,43 @@ def odometries():
     return lines
 
 
+def range_of(values):
+    """Medians of several runs: the least and the largest."""
+    low, high = f"{min(values):.0f}", f"{max(values):.0f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def speed_asked():
+    """What is wanted of speed: at the commit where it was asked for, and in the newest measurement."""
+    record, rows = tables_of("speed_asked_h200.json", "asked")[-1]
+    lines = [f"{measured_on(record)} {rows[0]['old']} beside it.", "", f"| | images | {rows[0]['old']} | {rows[0]['new']} | wanted |",
+             "|---|---|---:|---:|---:|"]
+    for r in rows:
+        figures = []
+        for commit in ("old", "new"):
+            rate = r.get(f"{commit}_frames_per_s")
+            figures.append(f"{rate[0]} frames/s" if rate else f"{range_of(r[f'{commit}_p50_us'])} ({range_of(r[f'{commit}_p99_us'])})")
+        lines.append(f"| {r['what']} | {r['images']} | {figures[0]} | {figures[1]} | {r['wanted']} |")
+    return lines
+
+
+def descriptors():
+    """Matches of all with all: without and with tensor cores on one machine, and of the newest commit on another."""
+    first, old = tables_of("match_descriptors_h100.json", "match_descriptors")[-1]
+    newest, new = tables_of("match_descriptors_h200.json", "by_commit")[-1]
+    one_way = {(r["model"], r["rows"]): dict(r) for r in old if r["tests"] == "one way"}
+    now = {(r["model"], r["rows"]): statistics.median(r["new_p50_us"]) for r in new if r["tests"] == "one way"}
+    heads = [f"plain, {first['commit']}", f"tensor cores, {first['commit']}", f"tensor cores, {newest['commit']}"]
+    lines = ["| | " + " | ".join(f"{n}: {h}" for n in ("1,000", "8,000") for h in heads) + " |", "|---" + "|---:" * 6 + "|"]
+    for model in dict.fromkeys(m for m, _ in one_way):
+        figures = []
+        for n in (1000, 8000):
+            r = one_way[model, n]
+            figures += [f"{v:.1f}" if n == 1000 else f"{v:.0f}" for v in (r["plain_p50_us"], r["tensor_cores_p50_us"], now[model, n])]
+        lines.append(f"| {model} | " + " | ".join(figures) + " |")
+    return lines
+
+
 def places():
     rows = load("words_h200.json")["words"]
     lines = ["| | H200 | one core |", "|---|---:|---:|"]
@@ -470,6 +507,7 @@ TABLES = {
     },
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
+        "speed asked": speed_asked, "descriptors": descriptors,
         "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,
     },
     "bench/results/README.md": {

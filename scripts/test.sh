@@ -227,11 +227,15 @@ build_sanitized() {
 build_threads() {
   cmake --build --preset host-tsan --parallel "$1"
 }
-# A core that other steps leave idle builds ahead of its turn. Failures show when it is built in its turn.
+# What other steps leave idle builds ahead of its turn, in a session of its own: its priority is that of the session where
+# Linux groups processes by them. Failures show when it is built in its turn.
 start_ahead() {
   export -f build_sanitized build_threads
-  export asan
-  setsid nice -n 15 bash -c 'build_sanitized 1 && build_threads 1' >/dev/null 2>&1 </dev/null 4>&- &
+  export asan jobs
+  # shellcheck disable=SC2016
+  setsid nice -n 15 bash -c '
+    echo 15 >/proc/self/autogroup
+    build_sanitized "$jobs" && build_threads "$jobs"' >/dev/null 2>&1 </dev/null 4>&- &
   ahead=$!
 }
 # Programs of clang++ run in a third of the time of those of g++. What its optimiser takes away before AddressSanitizer
@@ -257,7 +261,8 @@ stop_ahead() {
   ahead=
 }
 build_sanitizers() {
-  stop_ahead
+  wait "$ahead" || true
+  ahead=
   build_sanitized "$jobs"
   build_threads "$jobs"
 }
@@ -302,7 +307,7 @@ else
   if ((!quick)); then step "Examples, benches: build" build_all "$build"; fi
 fi
 if ((!quick)); then
-  # Those that leave a core idle come before the sanitizers, which are built there.
+  # What leaves a core idle at times comes first: sanitizers are built there.
   step "Python: package and tests" test_python
   step "Consumers" tests/consumers/run.sh "$build"
   step "Fuzzers" fuzz

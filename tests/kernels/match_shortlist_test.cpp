@@ -123,9 +123,15 @@ struct bound_of {
 
   explicit bound_of(D const& of) {
     float squares = 0, errors = 0;
-    for (auto const v : of.of) {
-      auto const number = static_cast<float>(v);
-      std::uint32_t const bits = limit::rounded(number, 0) & 0xffffu;
+    for (int k = 0; k < D::size; ++k) {
+      float numbers[8];
+      auto const eight = limit::read(of, k / 8, numbers);
+      float const number = numbers[k % 8];
+      std::uint32_t const bits = eight.words[k % 8 / 2] >> 16 * (k % 2) & 0xffffu;
+      if (!std::isnan(number)) {
+        EXPECT_EQ(number, static_cast<float>(of.of[k]));
+        EXPECT_EQ(bits, limit::rounded(number, 0) & 0xffffu);
+      }
       limit::add(squares, errors, number, bits);
       if constexpr (limit::of_halves) {
         rounded.push_back(

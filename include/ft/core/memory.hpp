@@ -44,6 +44,7 @@ public:
       std::uint64_t const word = next();
       std::memcpy(target + at, &word, sizeof word);
     }
+    if (at == bytes) { return; }
     std::uint64_t const word = next();
     std::memcpy(target + at, &word, bytes - at);
   }

@@ -101,7 +101,8 @@ struct lower_bound<D, vector_descriptor<T, N, Metric>> {
       struct alignas(16) stored {
         T of[8];
       };
-      auto const mine = part_at<stored>(row.of, i);
+      vector_descriptor<T, N, Metric> const& base = row;  // D may have an `of` of its own
+      auto const mine = part_at<stored>(base.of, i);
       memcpy(to.words, mine.of, sizeof to.words);
       FT_UNROLL
       for (int k = 0; k < 8; ++k) { numbers[k] = static_cast<float>(mine.of[k]); }

@@ -316,7 +316,7 @@ def descriptors():
     """Matches of all with all: without and with tensor cores on one machine, and of the newest commit on another."""
     first, old = tables_of("match_descriptors_h100.json", "match_descriptors")[-1]
     newest, new = tables_of("match_descriptors_h200.json", "by_commit")[-1]
-    one_way = {(r["model"], r["rows"]): dict(r) for r in old if r["tests"] == "one way"}
+    one_way = {(r["model"], r["rows"]): r for r in old if r["tests"] == "one way"}
     now = {(r["model"], r["rows"]): statistics.median(r["new_p50_us"]) for r in new if r["tests"] == "one way"}
     heads = [f"plain, {first['commit']}", f"tensor cores, {first['commit']}", f"tensor cores, {newest['commit']}"]
     lines = ["| | " + " | ".join(f"{n}: {h}" for n in ("1,000", "8,000") for h in heads) + " |", "|---" + "|---:" * 6 + "|"]
@@ -575,6 +575,7 @@ def self_test():
     one = dict(scenario="x", seed=1, frames=9, ate_m=0.01, ate_without_imu_m=None, max_error_m=0.5, lost=1, maps=2, silent=3, misses=["maps"])
     results["rows"] = [one, dict(one, seed=2, ate_m=0.03, misses=[]), dict(one, seed=3, ate_m=None)]
     assert scenario_rows()[-1] == "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 | 27 | maps (2) |", scenario_rows()[-1]
+    assert range_of([1.2, 3.7]) == "1 to 4" and range_of([1.1, 1.2]) == "1"
     print("update_results.py: self-test passed")
 
 

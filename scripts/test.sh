@@ -227,8 +227,8 @@ build_sanitized() {
 build_threads() {
   cmake --build --preset host-tsan --parallel "$1"
 }
-# What other steps leave idle builds ahead of its turn, in a session of its own: its priority is that of the session where
-# Linux groups processes by them. Failures show when it is built in its turn.
+# Builds ahead on what other steps leave idle. Where Linux schedules by sessions (autogroup), nice alone has no effect on
+# one of its own. Failures show when it is built in its turn.
 start_ahead() {
   export -f build_sanitized build_threads
   export asan jobs

@@ -211,6 +211,25 @@ struct other_rules : ft::vector_descriptor<float, 128> {
   static constexpr ft::descriptor_rules<float> rules{0, 1e7f, 62500, 16, 25};
 };
 
+struct other_numbers : ft::vector_descriptor<ft::float16, 16> {
+  ft::float16 of[16];
+};
+TEST(LowerBound, ReadsTheNumbersThatAreCompared) {
+  using base = ft::vector_descriptor<ft::float16, 16>;
+  other_numbers row{};
+  for (int k = 0; k < 16; ++k) {
+    static_cast<base&>(row).of[k] = ft::float16::nearest(static_cast<float>(k));
+    row.of[k] = ft::float16::nearest(-1);
+  }
+  float numbers[8];
+  auto const eight = ft::detail::lower_bound<other_numbers, base>::read(row, 1, numbers);
+  for (int k = 0; k < 8; ++k) {
+    EXPECT_EQ(numbers[k], static_cast<float>(8 + k));
+    EXPECT_EQ(eight.words[k / 2] >> 16 * (k % 2) & 0xffffu,
+              std::uint32_t{static_cast<base&>(row).of[8 + k].bits});
+  }
+}
+
 template <typename D>
 constexpr bool has_bound = ft::detail::products_by_mma<D> == ft::detail::products::of_numbers;
 

@@ -60,8 +60,9 @@ enum class launch_order {
   /// side_branch does the same for more than one launch, but a launch that joins one was measured
   /// to start two microseconds late.
   concurrent,
-  /// Starts when the preceding grid has completed. For grids of one full wave, or after one whose
-  /// blocks leave room on some multiprocessors: an early launch would spread its blocks unevenly.
+  /// Starts when the preceding grid has completed. For grids of one full wave, whose blocks an
+  /// early
+  /// launch would spread unevenly over the multiprocessors, and where it was measured to be faster.
   full_wave,
 };
 

@@ -6,6 +6,8 @@
                                            ORB-SLAM3's files take the rest of integration/orbslam3
     tests/checks/headers.py --self-test
 
+Then those with a constant before those that may have a local variable of the same name, which must not shadow it.
+
 What a header includes is not read again for each: the largest of the headers that it includes unconditionally is
 taken precompiled, and that one's was made the same way. So a header still sees nothing but its own includes. One
 that fails is compiled again without, and that decides.
@@ -23,6 +25,7 @@ FLAGS = "-std=c++17 -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Werror".spli
 ROOT = Path(__file__).resolve().parents[2]
 SHIM = ("integration/orbslam3/front_end.hpp", "integration/orbslam3/make_tracker.hpp")
 EIGEN = "/usr/include/eigen3"
+TYPES = r"int|float|double|bool|auto|unsigned|\w+_t"
 
 
 def plain_includes(path):
@@ -88,6 +91,27 @@ class checker:
             self.said.append(result.stderr)
         return result.returncode == 0
 
+    def namesakes(self):
+        """Headers with constants, each with those that may have a variable of the same name."""
+        texts = {n: (self.include / n).read_text(encoding="utf-8") for n in self.headers if n not in SHIM}
+        for name, text in texts.items():
+            constants = re.findall(r"^inline constexpr [^=({;]*\b(\w+)(?:\[[^]]*\])? *[={]", text, re.M)
+            variable = re.compile(rf"^ .*\b(?:{TYPES})(?: const)?[&* ]+(?:{'|'.join(constants)})\b(?! *\()", re.M)
+            others = [n for n in texts if n != name and variable.search(texts[n])] if constants else []
+            if others:
+                yield name, others
+
+    def check_namesakes(self, pair):
+        """A local variable must not shadow a constant of a header that is included before."""
+        name, others = pair
+        unit = self.path(name, ".before.cpp")
+        unit.write_text("".join(f'#include "{n}"\n' for n in [name, *others]), encoding="utf-8")
+        command = ["clang++", *FLAGS, f"-I{self.include}", "-isystem", EIGEN, "-fsyntax-only", str(unit)]
+        result = subprocess.run(command, capture_output=True, text=True, errors="replace")
+        if result.returncode != 0:
+            self.failed.append(name)
+            self.said.append(result.stderr)
+
     def run(self, jobs):
         """True where all compile. A header comes after those that it can be based on."""
         done, last = 0, time.monotonic()
@@ -100,19 +124,27 @@ class checker:
                 if time.monotonic() - last > 10:
                     last = time.monotonic()
                     print(f"  {done} of {len(self.headers)} headers", flush=True)
+            if not self.failed:
+                list(pool.map(self.check_namesakes, self.namesakes()))
         return not self.failed
 
 
-def self_test():
-    files = {
-        "base": "#pragma once\n#include <vector>\ninline std::vector<int> some() { return {}; }\n",
-        "good": '#pragma once\n#include "ft/base.hpp"\ninline auto more() { return some(); }\n',
-        "lacks": '#pragma once\n#include "ft/base.hpp"\ninline std::map<int, int> of() { return {}; }\n',
-        "other": '#pragma once\n#if defined(NOWHERE)\n#include "ft/base.hpp"\n#endif\ninline auto a() { return some(); }\n',
-        "unguarded": '#include "ft/base.hpp"\nstruct again {};\n',
-        "warns": '#pragma once\n#include "ft/good.hpp"\ninline char narrow(int i) { return i; }\n',
-        "last": '#pragma once\n#include "ft/warns.hpp"\ninline auto last() { return narrow(int(more().size())); }\n',
-    }
+SELF_TEST = {
+    "base": "#pragma once\n#include <vector>\ninline std::vector<int> some() { return {}; }\n",
+    "good": '#pragma once\n#include "ft/base.hpp"\ninline auto more() { return some(); }\n',
+}
+BAD = {
+    "lacks": '#pragma once\n#include "ft/base.hpp"\ninline std::map<int, int> of() { return {}; }\n',
+    "other": '#pragma once\n#if defined(NOWHERE)\n#include "ft/base.hpp"\n#endif\ninline auto a() { return some(); }\n',
+    "unguarded": '#include "ft/base.hpp"\nstruct again {};\n',
+    "warns": '#pragma once\n#include "ft/good.hpp"\ninline char narrow(int i) { return i; }\n',
+    "last": '#pragma once\n#include "ft/warns.hpp"\ninline auto last() { return narrow(int(more().size())); }\n',
+}
+LOCAL = "#pragma once\ninline int local() {\n  int name = 1;\n  return name;\n}\n"
+SHADOWED = "#pragma once\ninline constexpr int name = 2;\n"
+
+
+def found_in(files):
     with tempfile.TemporaryDirectory() as folder:
         include, work = Path(folder, "include"), Path(folder, "work")
         (include / "ft").mkdir(parents=True)
@@ -121,11 +153,22 @@ def self_test():
             (include / "ft" / f"{name}.hpp").write_text(text, encoding="utf-8")
         tested = checker(include, work)
         tested.run(2)
-        found = sorted(Path(n).stem for n in tested.failed)
-    expected = ["lacks", "last", "other", "unguarded", "warns"]
-    if found != expected:
-        print(f"headers.py finds {found}, not {expected}")
-    return found == expected
+        return sorted(Path(n).stem for n in tested.failed)
+
+
+def self_test():
+    good = True
+    for files, expected in (
+        (SELF_TEST, []),
+        (SELF_TEST | BAD, sorted(BAD)),
+        (SELF_TEST | {"a": LOCAL, "b": SHADOWED}, ["b"]),
+        (SELF_TEST | {"a": SHADOWED, "b": LOCAL}, ["a"]),
+    ):
+        found = found_in(files)
+        if found != expected:
+            print(f"headers.py finds {found}, not {expected}")
+            good = False
+    return good
 
 
 def main():

@@ -36,7 +36,7 @@ namespace detail {
 
 /// A frame of which a smaller share than one in so many keypoints agrees with its pose tells little
 /// of it.
-inline constexpr int few_inliers = 10;
+inline constexpr int weak_share = 10;
 /// After so many frames whose map points it contradicts, and none between where both agree, it is
 /// the IMU's state that is wrong.
 inline constexpr int most_contradictions = 3;
@@ -151,7 +151,7 @@ struct take_inertial_pose {
     }
     int keypoints = 0;
     for (int c = 0; c < in.frame.cameras; ++c) { keypoints += *in.frame.camera(b, c).count; }
-    t.weak = few_inliers * seen.inliers[b] < keypoints ? 1 : 0;
+    t.weak = weak_share * seen.inliers[b] < keypoints ? 1 : 0;
   }
 
 private:

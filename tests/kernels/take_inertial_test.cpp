@@ -232,7 +232,7 @@ TYPED_TEST(TakeInertialPoses, LeaveAloneWhatIsSearchedForOrWithoutAnImu) {
 TYPED_TEST(TakeInertialPoses, FewInliersAmongTheKeypointsTellLittle) {
   TypeParam backend;
   room<typename TypeParam::exec_type> r(backend.exec);
-  int const least = keypoints / ft::detail::few_inliers;
+  int const least = keypoints / ft::detail::weak_share;
   EXPECT_EQ(r.frame(least).track.weak, 0);
   EXPECT_EQ(r.frame(least - 1, least).track.weak, 1);
 }

@@ -286,6 +286,8 @@ TYPED_TEST(MatchShortlist, OfFloatsIsThatOfAPlainLoop) {
                                                                         seed);
     matches_are_those_of_a_plain_loop<float, 30, ft::squared_distance>(backend.exec, 64, 65, seed);
     matches_are_those_of_a_plain_loop<float, 256, ft::dot_product>(backend.exec, 130, 70, seed);
+    matches_are_those_of_a_plain_loop<float, 203, ft::squared_distance>(backend.exec, 66, 130,
+                                                                        seed);
   }
 }
 
@@ -298,6 +300,10 @@ TYPED_TEST(MatchShortlist, OfHalvesIsThatOfAPlainLoop) {
                                                                              seed);
     matches_are_those_of_a_plain_loop<ft::float16, 256, ft::dot_product>(backend.exec, 130, 70,
                                                                          seed);
+    matches_are_those_of_a_plain_loop<ft::float16, 40, ft::squared_distance>(backend.exec, 70, 129,
+                                                                             seed);
+    matches_are_those_of_a_plain_loop<ft::float16, 200, ft::squared_distance>(backend.exec, 66, 130,
+                                                                              seed);
   }
 }
 

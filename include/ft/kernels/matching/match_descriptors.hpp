@@ -74,7 +74,7 @@ private:
     for (int s = g.rank(); s < in.trains.used; s += g.size()) {
       best = merge_nearest{}(best, work.of_query[place(s, work.queries, i)]);
     }
-    return g.reduce(best, merge_nearest{});
+    return nearest_of_all(g, best);
   }
   /// The query row that is nearest to a train row.
   template <typename Group>
@@ -84,7 +84,7 @@ private:
     for (int s = g.rank(); s < in.queries.used; s += g.size()) {
       back = min_op{}(back, work.of_train[place(s, work.trains, j)]);
     }
-    return g.reduce(back, min_op{}).index;
+    return nearest_of_all(g, back).index;
   }
   FT_HOST_DEVICE static std::ptrdiff_t place(int strip, int rows, int row) {
     return static_cast<std::ptrdiff_t>(strip) * rows + row;

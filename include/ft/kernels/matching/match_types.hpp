@@ -3,12 +3,15 @@
 #pragma once
 
 #include <cstdint>
+#include <cstring>
 #include <limits>
 #include <type_traits>
 
 #include "ft/core/arithmetic.hpp"
+#include "ft/core/bits.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
+#include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/descriptors/descriptor_model.hpp"
 
@@ -121,6 +124,37 @@ struct merge_nearest {
   }
 };
 
+/// An unsigned number that is the less, the less a distance is; of 0 and -0 the same.
+FT_HOST_DEVICE FT_INLINE std::uint32_t order_of(int d) {
+  return static_cast<std::uint32_t>(d) ^ 0x80000000u;
+}
+FT_HOST_DEVICE FT_INLINE std::uint32_t order_of(float d) {
+  float const no_sign_of_zero = d + 0.0f;
+  std::uint32_t bits;
+  memcpy(&bits, &no_sign_of_zero, sizeof bits);
+  return bits ^ ((bits >> 31) != 0 ? 0xffffffffu : 0x80000000u);
+}
+/// The nearest of what the threads of a warp have, for each of them.
+template <typename Distance, typename Group>
+FT_HOST_DEVICE FT_INLINE nearest_row<Distance> nearest_of_all(Group g,
+                                                              nearest_row<Distance> mine) {
+  if constexpr (Group::max_threads == 1) { return mine; }
+  std::uint32_t const order = order_of(mine.distance);
+  bool const is_least = order == g.reduce(order, min_op{});
+  int const index = g.reduce(is_least ? mine.index : no_row, min_op{});
+  int const from = trailing_zeros(g.ballot(is_least && mine.index == index));
+  return {g.shuffle(mine.distance, from), index};
+}
+/// The two nearest. Each row is in one pair only.
+template <typename Distance, typename Group>
+FT_HOST_DEVICE FT_INLINE two_nearest_rows<Distance> nearest_of_all(
+    Group g, two_nearest_rows<Distance> mine) {
+  if constexpr (Group::max_threads == 1) { return mine; }
+  nearest_row<Distance> const first = nearest_of_all(g, mine.first);
+  if (mine.first.index == first.index) { mine.first = mine.second; }
+  return {first, nearest_of_all(g, mine.first)};
+}
+
 /// Rows are compared in tiles of that many.
 inline constexpr int match_side = 64;
 /// And tiles in so many strips at most.
@@ -140,6 +174,7 @@ struct strip_plan {
   FT_HOST_DEVICE static strip_plan of(int rows, int strips) {
     if (rows <= 0) { return {0, match_side, 0}; }
     int const tiles = (rows - 1) / match_side + 1;
+    if (tiles <= strips) { return {rows, match_side, tiles}; }
     int const each = ceil_div(tiles, strips);
     return {rows, each * match_side, ceil_div(tiles, each)};
   }

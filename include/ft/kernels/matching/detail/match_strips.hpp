@@ -221,8 +221,7 @@ private:
     sum own{};
     for (int first = 0; first < reader::parts; first += each) {
       g.sync();
-      load(g, s.rows[0], in.query + q, in.last_query - q, first);
-      load(g, s.rows[1], in.train + t, in.last_train - t, first);
+      load(g, s, in, q, t, first);
       g.sync();
       int const n = reader::parts % each == 0 ? each : min_of(each, reader::parts - first);
       if constexpr (uses_own_sums) {
@@ -320,18 +319,32 @@ private:
 #endif
     }
   }
-  /// Parts of 64 rows; instead of rows that are not there, the last one.
+  /// Parts of the rows of a tile; instead of rows that are not there, the last one. All are read
+  /// before the first is stored: the compiler must not do that by itself, since they could overlap.
   template <typename Group>
-  FT_HOST_DEVICE static void load(Group g, part (&to)[scratch::each][match_side + 1], D const* rows,
-                                  int count, int first) {
+  FT_HOST_DEVICE static void load(Group g, scratch& s, strip_pair<D> const& in, int q, int t,
+                                  int first) {
     constexpr int each = scratch::each;
-    FT_UNROLL
-    for (int k = g.rank(); k < match_side * each; k += g.size()) {
-      int const row = k / each, p = k % each;
-      if (reader::parts % each == 0 || first + p < reader::parts) {
-        to[p][row] = reader::part_of(rows[min_of(row, count - 1)], first + p);
+    constexpr int turns = ceil_div(match_side * each, match_threads);
+    auto const for_each = [&](auto const& call) {
+      FT_UNROLL
+      for (int of = 0; of < 2; ++of) {
+        FT_UNROLL
+        for (int k = 0; k < turns; ++k) {
+          int const i = k * match_threads + g.rank();
+          int const row = i / each, p = i % each;
+          bool const is_whole = reader::parts % each == 0 && match_side * each % match_threads == 0;
+          if (is_whole || (row < match_side && first + p < reader::parts)) { call(of, k, row, p); }
+        }
       }
-    }
+    };
+    part parts[2][turns];
+    for_each([&](int of, int k, int row, int p) {
+      D const* const rows = of == 0 ? in.query + q : in.train + t;
+      int const last = (of == 0 ? in.last_query - q : in.last_train - t) - 1;
+      parts[of][k] = reader::part_of(rows[min_of(row, last)], first + p);
+    });
+    for_each([&](int of, int k, int row, int p) { s.rows[of][p][row] = parts[of][k]; });
   }
   FT_HOST_DEVICE static sum own_sum(scratch const& s, int of, int row) {
     if constexpr (uses_own_sums) {

@@ -52,7 +52,7 @@ struct rescored_match {
       rest = work.rest_of_query[at];
     }
     two_nearest_rows<float> const likely =
-        g.reduce(merge_nearest{}(bounded(kept.first), bounded(kept.second)), merge_nearest{});
+        nearest_of_all(g, merge_nearest{}(bounded(kept.first), bounded(kept.second)));
     one first, second;
     compare_likely(g, likely.first.index, likely.second.index, first, second);
     float const limit = max_of(first.distance, second.distance);
@@ -82,7 +82,7 @@ struct rescored_match {
         best = merge_nearest{}(best, {compared(own, j, true), one::none()});
       }
     }
-    return g.reduce(best, merge_nearest{});
+    return nearest_of_all(g, best);
   }
 
   /// Whether no other query row is nearer to a train row than this one, or as near and lower.
@@ -129,21 +129,25 @@ private:
     D const& mine = query.row[own];
     D const& nearest = first == no_row ? mine : train.row[first];
     D const& next = second == no_row ? mine : train.row[second];
-    // Own with first, own with second, and, where the model uses them, each with itself.
-    int const rank = g.rank();
-    int const a = rank < 3 ? 0 : rank - 2;
-    int const b = rank < 2 ? rank + 1 : rank - 2;
-    bool const adds = rank < (reader::uses_own_sums ? 5 : 2);
-    typename reader::sum sum{};
-    constexpr int together = 4;  // parts that are read at the same time
+    // Own with first, own with second, and, where the model uses them, each with itself. Four lanes
+    // add up the four sums of each.
+    int const rank = g.rank(), which = rank / 4, term = rank % 4;
+    int const a = which < 3 ? 0 : which - 2;
+    int const b = which < 2 ? which + 1 : which - 2;
+    bool const adds = which < (reader::uses_own_sums ? 5 : 2);
+    typename reader::sum sum{};  // the first of its numbers
+    constexpr int together = 8;  // parts that are read at the same time
     constexpr bool is_whole = each % together == 0 && reader::parts % each == 0;
     FT_NO_UNROLL
     for (int p = 0; p < reader::parts; p += each) {
       g.sync();
       if (rank < each && p + rank < reader::parts) {
-        scratch.rows[0][rank] = reader::part_of(mine, p + rank);
-        scratch.rows[1][rank] = reader::part_of(nearest, p + rank);
-        scratch.rows[2][rank] = reader::part_of(next, p + rank);
+        // All are read before the first is stored.
+        typename reader::part const parts[3] = {reader::part_of(mine, p + rank),
+                                                reader::part_of(nearest, p + rank),
+                                                reader::part_of(next, p + rank)};
+        FT_UNROLL
+        for (int k = 0; k < 3; ++k) { scratch.rows[k][rank] = parts[k]; }
       }
       g.sync();
       int const n = adds ? min_of(each, reader::parts - p) : 0;
@@ -151,11 +155,12 @@ private:
       for (int from = 0; from < n; from += together) {
         FT_UNROLL
         for (int k = from; k < from + together; ++k) {
-          if (is_whole || k < n) { reader::add(sum, scratch.rows[a][k], scratch.rows[b][k]); }
+          if (!is_whole && k >= n) { continue; }
+          reader::add(sum, {{scratch.rows[a][k].of[term]}}, {{scratch.rows[b][k].of[term]}});
         }
       }
     }
-    if (adds) { scratch.sums[rank] = sum; }
+    if (adds) { scratch.sums[which].of[term] = sum.of[0]; }
     g.sync();
     auto const usable = [&](int k, int index) {
       bool const own_sums = reader::uses_own_sums;

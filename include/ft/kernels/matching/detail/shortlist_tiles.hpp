@@ -124,8 +124,7 @@ private:
     float squares[2] = {}, errors[2] = {};
     for (int first = 0; first < runs; first += each_runs) {
       g.sync();
-      load(g, s.rows[0], in.query + q, in.last_query - q, first, squares[0], errors[0]);
-      load(g, s.rows[1], in.train + t, in.last_train - t, first, squares[1], errors[1]);
+      load(g, s, in, q, t, first, squares, errors);
       g.sync();
       constexpr bool is_whole = runs % each_runs == 0;
       int const steps = ceil_div(is_whole ? each_runs : min_of(each_runs, runs - first), 2);
@@ -141,25 +140,38 @@ private:
     }
     g.sync();
   }
-  /// Numbers of 64 rows; instead of rows that are not there, the last one. Past the last run zeros.
+  /// Numbers of the rows of a tile; instead of rows that are not there, the last one. Past the last
+  /// run zeros. As many as there are registers for are read before the first is stored.
   template <typename Group>
-  FT_HOST_DEVICE static void load(Group g, shortlist_scratch::row (&to)[match_side], D const* rows,
-                                  int count, int first, float& squares, float& errors) {
-    int const row = g.rank() / loaders;
-    D const& mine = rows[min_of(row, count - 1)];
+  FT_HOST_DEVICE static void load(Group g, shortlist_scratch& s, strip_pair<D> const& in, int q,
+                                  int t, int first, float (&squares)[2], float (&errors)[2]) {
+    constexpr int turns = ceil_div(each_runs, loaders);
+    constexpr bool is_whole = runs % each_runs == 0 && each_runs % loaders == 0;
+    constexpr int together = limit::of_halves ? 2 * turns : turns;
+    int const row = g.rank() / loaders, lane = g.rank() % loaders;
+    D const& query = in.query[q + min_of(row, in.last_query - q - 1)];
+    D const& train = in.train[t + min_of(row, in.last_train - t - 1)];
     FT_UNROLL
-    for (int k = 0; k < ceil_div(each_runs, loaders); ++k) {
-      int const r = k * loaders + g.rank() % loaders;
-      float v[8] = {};
-      rounded_numbers both{};
-      if ((runs % each_runs == 0 && each_runs % loaders == 0) || first + r < runs) {
-        both = limit::read(mine, first + r, v);
+    for (int k = 0; k < 2 * turns; k += together) {
+      float numbers[together][8] = {};
+      rounded_numbers rounded[together] = {};
+      FT_UNROLL
+      for (int m = 0; m < together; ++m) {
+        int const r = first + (k + m) % turns * loaders + lane;
+        if (is_whole || r < runs) {
+          rounded[m] = limit::read(k + m < turns ? query : train, r, numbers[m]);
+        }
       }
       FT_UNROLL
-      for (int i = 0; i < 8; ++i) {
-        limit::add(squares, errors, v[i], both.words[i / 2] >> 16 * (i % 2) & 0xffffu);
+      for (int m = 0; m < together; ++m) {
+        int const of = (k + m) / turns;
+        FT_UNROLL
+        for (int i = 0; i < 8; ++i) {
+          limit::add(squares[of], errors[of], numbers[m][i],
+                     rounded[m].words[i / 2] >> 16 * (i % 2) & 0xffffu);
+        }
+        s.rows[of][row][(k + m) % turns * loaders + lane] = rounded[m];
       }
-      to[row][r] = both;
     }
   }
   /// Sixteen numbers of all rows, from a word on, a warp together. What lies in which thread: PTX

@@ -136,8 +136,7 @@ FT_HOST_DEVICE FT_INLINE std::uint32_t order_of(float d) {
 }
 /// The nearest of what the threads of a warp have, for each of them.
 template <typename Distance, typename Group>
-FT_HOST_DEVICE FT_INLINE nearest_row<Distance> nearest_of_all(Group g,
-                                                              nearest_row<Distance> mine) {
+FT_HOST_DEVICE FT_INLINE nearest_row<Distance> nearest_of_all(Group g, nearest_row<Distance> mine) {
   if constexpr (Group::max_threads == 1) { return mine; }
   std::uint32_t const order = order_of(mine.distance);
   bool const is_least = order == g.reduce(order, min_op{});

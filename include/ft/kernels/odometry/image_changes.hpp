@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -36,13 +37,27 @@ struct image_changes {
   unsigned long_since[words];  ///< and those that did for many frames
 };
 
+namespace detail {
+
+/// What a row of cells adds to the sums of its image.
+struct row_changes {
+  four_sums cells;       ///< with contrast, moved since the reference, still, known to be still
+  four_sums grey;        ///< samples: sum, squares; cells: changed since the last frame, differ
+  four_sums slopes;      ///< as image_slopes
+  unsigned still_cells;  ///< a bit for each
+};
+static_assert(image_changes::columns == 32, "a bit for each cell of a row");
+
+}  // namespace detail
+
 /// Memory of the stage. Executor memory.
 struct image_changes_view {
-  image_changes* of = nullptr;        ///< [images]
-  std::uint8_t* reference = nullptr;  ///< [images][samples][cells] since when a cell is still
-  std::uint8_t* last = nullptr;       ///< [images][samples][cells] of the last frame
-  std::uint8_t* frames = nullptr;     ///< [images][cells] in which a cell was still and others not
-  int* begun = nullptr;               ///< [images] 1 = there was a frame
+  image_changes* of = nullptr;            ///< [images]
+  detail::row_changes* of_row = nullptr;  ///< [images][rows]
+  std::uint8_t* reference = nullptr;      ///< [images][samples][cells] since when a cell is still
+  std::uint8_t* last = nullptr;           ///< [images][samples][cells] of the last frame
+  std::uint8_t* frames = nullptr;  ///< [images][cells] in which a cell was still and others not
+  int* begun = nullptr;            ///< [images] 1 = there was a frame
   static constexpr int sampled = image_changes::samples * image_changes::cells;
 
   /// Whether a pixel of an image belongs to what is fixed to the camera.
@@ -61,6 +76,7 @@ struct image_changes_view {
 
 inline void carve(carver& c, image_changes_view& v, int images) {
   c.place({images}, v.of);
+  c.place({images, image_changes::rows}, v.of_row);
   c.place({images, image_changes_view::sampled}, v.reference, v.last);
   c.place({images, image_changes::cells}, v.frames);
   c.place({images}, v.begun);
@@ -97,88 +113,44 @@ struct image_slopes {
   }
 };
 
-/// Item: an image. Threads have cells.
-struct watch_image {
+/// Item: a row of cells of an image. Threads have cells.
+struct compare_cells {
   static constexpr bool wide_on_host = true;
-  struct scratch {
-    std::uint8_t still[image_changes::cells];
-  };
+  using scratch = no_scratch;
   static constexpr int samples = image_changes::samples;
-  static constexpr int few_frames = 4, many_frames = 8;
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int i, image_pyramid_view const& images,
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& images,
                                  image_changes_view const& v) const {
-    if (images.absent.has(i)) {
-      if (g.rank() == 0) { v.of[i] = {}; }
-      return;
-    }
+    int const i = item / image_changes::rows;
+    if (images.absent.has(i)) { return; }
     auto const image = images.level(i, 0);
     bool const first = v.begun[i] == 0;
-    int textured = 0, moved = 0, still = 0, known = 0, differ = 0, changed = 0, sum = 0,
-        squares = 0;
+    row_changes row{};
     image_slopes slopes;
-    for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
+    for (int k = g.rank(); k < image_changes::columns; k += g.size()) {
+      int const c = item % image_changes::rows * image_changes::columns + k;
       compared const to = compare(image, v, i, c, first);
-      textured += static_cast<int>(to.is_textured());
-      moved += static_cast<int>(to.has_moved());
-      still += static_cast<int>(to.is_still());
-      known += static_cast<int>(!first && to.is_still() && v.frames[frames_at(i, c)] > 0);
-      differ += static_cast<int>(to.differs);
-      changed += static_cast<int>(to.has_changed());
-      s.still[c] = to.is_still() ? 1 : 0;
-      sum += to.sum;
-      squares += to.squares;
-      for (int k = 0; k < samples; k += 2) {  // half of them, like a chessboard's squares
-        sample const at = sample_of(image, c, k + k / image_changes::side % 2);
+      bool const still = !first && to.is_still();
+      std::uint8_t& frames = v.frames[static_cast<std::ptrdiff_t>(i) * image_changes::cells + c];
+      row.cells = row.cells +
+                  four_sums{{to.is_textured(), to.has_moved(), to.is_still(), still && frames > 0}};
+      row.grey = row.grey + four_sums{{to.sum, to.squares, to.has_changed(), to.differs}};
+      row.still_cells |= static_cast<unsigned>(still) << k;
+      for (int s = 0; s < samples; s += 2) {  // half of them, like a chessboard's squares
+        sample const at = sample_of(image, c, s + s / image_changes::side % 2);
         slopes.add(image, at.x, at.y);
       }
+      if (still) { continue; }
+      for (int s = 0; s < samples; ++s) { v.reference[place(i, c, s)] = v.last[place(i, c, s)]; }
+      frames = 0;
     }
-    four_sums const counts = g.reduce(four_sums{{textured, moved, still, known}}, sum_op{});
-    four_sums const grey = g.reduce(four_sums{{differ, sum, squares, changed}}, sum_op{});
-    four_sums const steep =
+    row.cells = g.reduce(row.cells, sum_op{});
+    row.grey = g.reduce(row.grey, sum_op{});
+    row.slopes =
         g.reduce(four_sums{{slopes.near_x, slopes.near_y, slopes.far_x, slopes.far_y}}, sum_op{});
-    slopes = {steep.of[0], steep.of[1], steep.of[2], steep.of[3]};
-    textured = counts.of[0];
-    moved = counts.of[1];
-    still = counts.of[2];
-    known = counts.of[3];
-    // Most of the image moves: what does not is not of the scene. Less is enough where that was so
-    // before. With a camera that hardly moves there is much between both.
-    bool const most = known != 0 ? 2 * moved > still : 4 * moved > 3 * still;
-    bool const rest_moves = !first && most && 5 * (moved + still) > 4 * textured;
-    g.sync();
-    if (g.rank() == 0) {
-      image_changes& out = v.of[i];
-      out = {};
-      out.textured = textured;
-      out.moved = grey.of[3];
-      out.still = still;
-      out.same = !first && grey.of[0] == 0 ? 1 : 0;
-      out.sum = grey.of[1];
-      out.squares = grey.of[2];
-      out.streaked = slopes.is_streaked() ? 1 : 0;
-      v.begun[i] = 1;
-    }
-    for (int c = g.rank(); c < image_changes::cells; c += g.size()) {
-      count_frames(v, i, c, !first && s.still[c] != 0, rest_moves);
-    }
-    g.sync();
-    int fixed = 0;
-    for (int w = g.rank(); w < image_changes::words; w += g.size()) {
-      unsigned now = 0, long_since = 0;
-      for (int bit = 0; bit < 32; ++bit) {
-        int const frames = v.frames[frames_at(i, 32 * w + bit)];
-        bool const is_now = frames >= few_frames || (rest_moves && frames > 0);
-        now |= static_cast<unsigned>(is_now) << bit;
-        long_since |= static_cast<unsigned>(frames >= many_frames) << bit;
-      }
-      fixed += popcount(now);
-      v.of[i].now[w] = now;
-      v.of[i].long_since[w] = long_since;
-    }
-    fixed = g.reduce(fixed, sum_op{});
-    if (g.rank() == 0) { v.of[i].fixed = fixed; }
+    row.still_cells = g.reduce(row.still_cells, sum_op{});
+    if (g.rank() == 0) { v.of_row[item] = row; }
   }
 
 private:
@@ -258,33 +230,90 @@ private:
     out.lately /= samples;
     return out;
   }
-  FT_HOST_DEVICE static std::ptrdiff_t frames_at(int i, int cell) {
-    return static_cast<std::ptrdiff_t>(i) * image_changes::cells + cell;
-  }
-  /// Counts the frames in which a cell was still and others were not. A cell that is not still
-  /// begins anew.
-  FT_HOST_DEVICE static void count_frames(image_changes_view const& v, int i, int cell, bool still,
-                                          bool rest_moves) {
-    std::uint8_t& frames = v.frames[frames_at(i, cell)];
-    if (!still) {
-      for (int k = 0; k < samples; ++k) {
-        v.reference[place(i, cell, k)] = v.last[place(i, cell, k)];
-      }
-      frames = 0;
-    } else if (rest_moves) {
-      frames = static_cast<std::uint8_t>(min_of(frames + 1, many_frames));
+};
+
+/// Item: an image. Threads have rows of cells.
+struct judge_changes {
+  using scratch = no_scratch;
+  static constexpr int few_frames = 4, many_frames = 8;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group g, scratch&, int i, image_pyramid_view const& images,
+                                 image_changes_view const& v) const {
+    image_changes& out = v.of[i];
+    if (images.absent.has(i)) {
+      if (g.rank() == 0) { out = {}; }
+      return;
     }
+    row_changes const* const rows = v.of_row + static_cast<std::ptrdiff_t>(i) * image_changes::rows;
+    row_changes all{};
+    for (int r = g.rank(); r < image_changes::rows; r += g.size()) {
+      all.cells = all.cells + rows[r].cells;
+      all.grey = all.grey + rows[r].grey;
+      all.slopes = all.slopes + rows[r].slopes;
+    }
+    auto const& cells = (all.cells = g.reduce(all.cells, sum_op{})).of;
+    auto const& grey = (all.grey = g.reduce(all.grey, sum_op{})).of;
+    auto const& steep = (all.slopes = g.reduce(all.slopes, sum_op{})).of;
+    int const textured = cells[0], moved = cells[1], still = cells[2], known = cells[3];
+    // Most of the image moves: what does not is not of the scene. Less is enough where that was so
+    // before. With a camera that hardly moves there is much between both.
+    bool const first = v.begun[i] == 0;
+    bool const most = known != 0 ? 2 * moved > still : 4 * moved > 3 * still;
+    bool const rest_moves = !first && most && 5 * (moved + still) > 4 * textured;
+    int fixed = 0;
+    for (int r = g.rank(); r < image_changes::rows; r += g.size()) {
+      fixed += count_frames(v, i, r, rows[r].still_cells, rest_moves);
+    }
+    fixed = g.reduce(fixed, sum_op{});
+    if (g.rank() != 0) { return; }
+    out.textured = textured;
+    out.moved = grey[2];
+    out.still = still;
+    out.same = !first && grey[3] == 0 ? 1 : 0;
+    out.sum = grey[0];
+    out.squares = grey[1];
+    out.streaked = image_slopes{steep[0], steep[1], steep[2], steep[3]}.is_streaked() ? 1 : 0;
+    out.fixed = fixed;
+    v.begun[i] = 1;
+  }
+
+private:
+  /// Counts the frames in which the cells of a row were still and others were not.
+  /// @return the cells that are fixed now
+  FT_HOST_DEVICE static int count_frames(image_changes_view const& v, int i, int row,
+                                         unsigned still_cells, bool rest_moves) {
+    constexpr int n = image_changes::columns;
+    std::uint8_t* const kept =
+        v.frames + static_cast<std::ptrdiff_t>(i) * image_changes::cells + row * n;
+    std::uint8_t frames[n];
+    memcpy(frames, kept, sizeof frames);
+    unsigned now = 0, long_since = 0;
+    FT_UNROLL
+    for (int k = 0; k < n; ++k) {
+      int const more = (still_cells >> k & 1u) != 0 && rest_moves ? 1 : 0;
+      int const count = min_of(frames[k] + more, many_frames);
+      frames[k] = static_cast<std::uint8_t>(count);
+      now |= static_cast<unsigned>(count >= few_frames || (rest_moves && count > 0)) << k;
+      long_since |= static_cast<unsigned>(count >= many_frames) << k;
+    }
+    memcpy(kept, frames, sizeof frames);
+    v.of[i].now[row] = now;
+    v.of[i].long_since[row] = long_since;
+    return popcount(now);
   }
 };
 
 }  // namespace detail
 
-/// Compares every image with those before it. Asynchronous on `exec`; allocates nothing; one
-/// launch.
+/// Compares every image with those before it. Asynchronous on `exec`; allocates nothing; two
+/// launches.
 /// @param images level 0 is read
 template <typename Exec>
 void watch_images(Exec const& exec, image_pyramid_view const& images, image_changes_view const& v) {
-  for_each_item<per_block<1024>>(exec, images.batch, detail::watch_image{}, images, v);
+  for_each_item<per_warp>(exec, images.batch * image_changes::rows, detail::compare_cells{}, images,
+                          v);
+  for_each_item<per_warp>(exec, images.batch, detail::judge_changes{}, images, v);
 }
 
 }  // namespace FT_ABI

@@ -73,6 +73,10 @@ void add_tracking(CLI::App& app, arguments& a) {
          "--features", a.features,
          "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
       ->check(CLI::Range(1, 1 << 20));
+  app.add_option("--corner-ratio", a.corner_ratio,
+                 "corners that are more like an edge are left out; 0 = the default, 1/16 where "
+                 "there are depths; 1e-6 keeps all")
+      ->capture_default_str();
   app.add_flag("--loops", a.loops,
                "recognises places seen before and corrects the path there: trajectory.txt is the "
                "path as all loops have corrected it, trajectory_online.txt as each frame told it");
@@ -120,6 +124,7 @@ void check_ranges(CLI::App const& app, arguments const& a) {
   double const offset = a.imu_time_offset_s.value_or(0);
   require("--imu-time-offset", offset >= -10 && offset <= 10, "must be -10 to 10 s");
   require("--near", a.near_depth > 0 && a.near_depth <= 1e6, "must be above 0 and at most 1e6");
+  require("--corner-ratio", a.corner_ratio >= 0 && a.corner_ratio <= 1, "must be 0 to 1");
   require("--max-time-difference", apart >= 0 && apart <= 1e4, "must be 0 to 10000 ms");
   require("--fps", a.fps >= 1e-3 && a.fps <= 1e5, "must be 0.001 to 100000 images a second");
   require("--depth-unit", a.depth_unit >= 1e-9 && a.depth_unit <= 1e3,

@@ -33,6 +33,7 @@ struct arguments {
   int frames = 0;
   std::optional<int> read_ahead;  ///< else as usual_read_ahead() says
   double near_depth = 0;
+  double corner_ratio = 0;
   double fps = 0;                                ///< images a second; 0 = the recording has times
   std::optional<double> max_time_difference_ms;  ///< else as the reader has it
   int image_bits = 0;                            ///< of 16-bit images; 0 = 16

@@ -161,6 +161,7 @@ odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
   p.orb.scale_factor = f(o.scale_factor);
   p.orb.ini_threshold = settings.ini_threshold.value_or(20);
   p.orb.min_threshold = settings.min_threshold.value_or(7);
+  p.orb.corner_ratio = f(a.corner_ratio);
   o.near_depth = a.near_depth > 0 ? a.near_depth : settings.depth_threshold.value_or(o.near_depth);
   p.rules.near_depth = f(o.near_depth);
   p.map_slots = std::max(p.map_slots, 8 * p.orb.features);

@@ -88,6 +88,9 @@ def parser() -> argparse.ArgumentParser:
                          help="keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
     command.add_argument("--near", type=number(1e-6, 1e6),
                          help="depth of map points, in baselines; default: the settings file's, or 50")
+    command.add_argument("--corner-ratio", type=number(0, 1), default=0.0,
+                         help="corners that are more like an edge are left out; 0 = the default, 1/16 where there are depths; "
+                              "1e-6 keeps all")
     command.add_argument("--loops", action="store_true",
                          help="recognises places seen before and corrects the path there: trajectory.txt is the path as all "
                               "loops have corrected it, trajectory_online.txt as each frame told it")

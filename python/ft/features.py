@@ -184,12 +184,13 @@ class StereoMatches:
 
 
 def _options(width: int, height: int, features: int, levels: int, scale_factor: float, ini_threshold: int,
-             min_threshold: int, mask_size: tuple[int, int], std_sort: bool, threads: int) -> dict[str, object]:
+             min_threshold: int, corner_ratio: float, mask_size: tuple[int, int], std_sort: bool,
+             threads: int) -> dict[str, object]:
     mask_width, mask_height = _two(mask_size, "mask_size")
     return {
         "width": width, "height": height, "features": features, "levels": levels, "scale_factor": scale_factor,
-        "ini_threshold": ini_threshold, "min_threshold": min_threshold, "mask_width": mask_width,
-        "mask_height": mask_height, "std_sort": bool(std_sort), "threads": threads,
+        "ini_threshold": ini_threshold, "min_threshold": min_threshold, "corner_ratio": corner_ratio,
+        "mask_width": mask_width, "mask_height": mask_height, "std_sort": bool(std_sort), "threads": threads,
     }
 
 
@@ -212,17 +213,17 @@ class OrbExtractor:
     """Extracts ORB features of grey images of one size, as ORB-SLAM3 does, `batch` images a call.
 
     width, height: pixels. features: wanted per image. levels, scale_factor: of the pyramid. ini_threshold,
-    min_threshold: of corners, grey levels. mask_size: width and height of masks, none by default. std_sort: the order of
-    ORB-SLAM3 with libstdc++. threads: of the host; 0 = all. device: auto (a GPU if there is one), host or cuda.
-    Raises ValueError for values out of range.
+    min_threshold: of corners, grey levels. corner_ratio: corners that are more like an edge are left out, in [0, 1], 0 keeps
+    all. mask_size: width and height of masks, none by default. std_sort: the order of ORB-SLAM3 with libstdc++. threads:
+    of the host; 0 = all. device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range.
     """
 
     def __init__(self, width: int, height: int, *, batch: int = 1, device: str = "auto", features: int = 1200, levels: int = 8,
-                 scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
+                 scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7, corner_ratio: float = 0.0,
                  mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
         self._scale_factor = scale_factor
-        options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size, std_sort,
-                            threads)
+        options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, corner_ratio, mask_size,
+                           std_sort, threads)
         self._pipeline = _ft.FeaturePipeline(options, batch, None, device)
         self.batch = int(batch)
 
@@ -252,11 +253,11 @@ class StereoMatcher:
 
     def __init__(self, rig: Union[RectifiedPair, FisheyePair], width: int, height: int, *, batch: int = 1,
                  device: str = "auto", features: int = 1200, levels: int = 8,
-                 scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
+                 scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7, corner_ratio: float = 0.0,
                  mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
         self._scale_factor = scale_factor
-        options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size, std_sort,
-                            threads)
+        options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, corner_ratio, mask_size,
+                           std_sort, threads)
         self._pipeline = _ft.FeaturePipeline(options, 2 * batch, rig, device)
         self.batch = int(batch)
 

@@ -64,7 +64,7 @@ class Odometry:
     "bits_512" (61 to 64 bytes, as AKAZE's and BRISK's) or "int8_128" (OpenCV's SIFT, or int8, of two rows of one point up to
     250 apart); others than "orb" need own_features and a RectifiedPair or an RgbdCamera of a pinhole, without imu and
     vocabulary, and track no images. measure_stages: record stage_times(). features,
-    levels ...: as those of OrbExtractor.
+    levels ...: as those of OrbExtractor, but a corner_ratio of 0 is 1/16 where there are depths; 1e-6 keeps all corners.
     device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range; warns of what
     check_calibration() finds.
 
@@ -77,9 +77,9 @@ class Odometry:
                  vocabulary: Optional[Union[str, os.PathLike[str]]] = None, candidates: int = 16,
                  loops: bool = False, own_features: bool = False, descriptors: str = "orb", measure_stages: bool = False,
                  features: int = 1200, levels: int = 8, scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
-                 mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
-        all_options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, mask_size,
-                               std_sort, threads)
+                 corner_ratio: float = 0.0, mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
+        all_options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, corner_ratio,
+                               mask_size, std_sort, threads)
         if vocabulary is not None and not str(vocabulary):
             raise ValueError("vocabulary is empty, must be a file, or None")
         if descriptors not in ("orb", "bits_512", "int8_128"):

@@ -86,7 +86,8 @@ def make_odometry(arguments: argparse.Namespace, sequence: ft.Sequence,
         warnings.simplefilter("ignore")  # of the calibration, which are printed
         odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
                                threads=arguments.threads, loops=arguments.loops, measure_stages=measure_stages,
-                               map_slots=slots, local_points=local, window_points=window, **settings)
+                               map_slots=slots, local_points=local, window_points=window,
+                               corner_ratio=arguments.corner_ratio, **settings)
     return odometry, settings
 
 

@@ -107,6 +107,7 @@ struct feature_options {
   int features = 1200, levels = 8;
   double scale_factor = 1.2;
   int ini_threshold = 20, min_threshold = 7;
+  double corner_ratio = 0;
   int mask_width = 0, mask_height = 0;
   bool std_sort = false;  ///< the order of ORB-SLAM3 with libstdc++
   int threads = 0;        ///< of the host; 0 = all
@@ -156,6 +157,7 @@ inline ft::orb_params orb_params_of(feature_options const& o) {
   p.scale_factor = narrow(o.scale_factor);
   p.ini_threshold = o.ini_threshold;
   p.min_threshold = o.min_threshold;
+  p.corner_ratio = narrow(o.corner_ratio);
   p.mask_width = o.mask_width;
   p.mask_height = o.mask_height;
   p.ties = o.std_sort ? ft::tie_rule::std_sort : ft::tie_rule::stable;

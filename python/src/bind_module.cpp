@@ -45,6 +45,7 @@ nb::dict defaults() {
   d["scale_factor"] = p.orb.scale_factor;
   d["ini_threshold"] = p.orb.ini_threshold;
   d["min_threshold"] = p.orb.min_threshold;
+  d["corner_ratio"] = p.orb.corner_ratio;
   d["mask_size"] = nb::make_tuple(p.orb.mask_width, p.orb.mask_height);
   d["std_sort"] = p.orb.ties == ft::tie_rule::std_sort;
   return d;

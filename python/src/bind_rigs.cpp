@@ -81,6 +81,7 @@ feature_options feature_options_of(nb::handle options) {
   o.scale_factor = number(options["scale_factor"], "scale_factor");
   o.ini_threshold = get("ini_threshold");
   o.min_threshold = get("min_threshold");
+  o.corner_ratio = number(options["corner_ratio"], "corner_ratio");
   o.mask_width = get("mask_width");
   o.mask_height = get("mask_height");
   o.std_sort = nb::cast<bool>(options["std_sort"]);

@@ -109,6 +109,21 @@ def test_counts_that_an_int_cannot_hold_are_refused(name, make, value):
         make(value)
 
 
+@pytest.mark.parametrize("value", [-0.1, 1.5, float("nan"), float("inf"), "0.5", None], ids=repr)
+@pytest.mark.parametrize("make", [odometry, lambda **o: ft.OrbExtractor(WIDTH, HEIGHT, device="host", **o)], ids=["odometry", "extractor"])
+def test_corner_ratios_that_are_none_are_refused(make, value):
+    with pytest.raises(ValueError, match="corner_ratio"):
+        make(corner_ratio=value)
+
+
+def test_a_corner_ratio_leaves_out_edges(walk):
+    image = walk.frame(0)[0]
+    counts = [len(ft.OrbExtractor(WIDTH, HEIGHT, device="host", features=200, corner_ratio=r).extract(image)) for r in (0, 1e-6, 0.5)]
+    assert counts[0] == counts[1] > counts[2] > 0
+    kept = follow(odometry(corner_ratio=1e-6), walk, 3)[-1].keypoints
+    assert kept > follow(odometry(), walk, 3)[-1].keypoints > follow(odometry(corner_ratio=0.5), walk, 3)[-1].keypoints
+
+
 @pytest.mark.parametrize("b", [-1, 1, 2**31 - 1])
 def test_cameras_that_are_not_there_are_refused(walk, b):
     tracker, orb = odometry(mask_size=(WIDTH, HEIGHT), imu=ft.Imu()), ft.OrbExtractor(WIDTH, HEIGHT, device="host", mask_size=(8, 8))

@@ -134,7 +134,8 @@ FT_HOST_DEVICE FT_INLINE std::uint32_t order_of(float d) {
   memcpy(&bits, &no_sign_of_zero, sizeof bits);
   return bits ^ ((bits >> 31) != 0 ? 0xffffffffu : 0x80000000u);
 }
-/// The nearest of what the threads of a warp have, for each of them.
+/// The nearest of what the threads of a group have, for each of them. The group is a warp or a
+/// thread.
 template <typename Distance, typename Group>
 FT_HOST_DEVICE FT_INLINE nearest_row<Distance> nearest_of_all(Group g, nearest_row<Distance> mine) {
   if constexpr (Group::max_threads == 1) { return mine; }
@@ -144,7 +145,7 @@ FT_HOST_DEVICE FT_INLINE nearest_row<Distance> nearest_of_all(Group g, nearest_r
   int const from = trailing_zeros(g.ballot(is_least && mine.index == index));
   return {g.shuffle(mine.distance, from), index};
 }
-/// The two nearest. Each row is in one pair only.
+/// The two nearest. A row is in the pair of one thread only: it is known again by its index.
 template <typename Distance, typename Group>
 FT_HOST_DEVICE FT_INLINE two_nearest_rows<Distance> nearest_of_all(
     Group g, two_nearest_rows<Distance> mine) {

@@ -313,7 +313,8 @@ template <typename Exec>
 void watch_images(Exec const& exec, image_pyramid_view const& images, image_changes_view const& v) {
   for_each_item<per_warp>(exec, images.batch * image_changes::rows, detail::compare_cells{}, images,
                           v);
-  for_each_item<per_warp>(exec, images.batch, detail::judge_changes{}, images, v);
+  for_each_item<per_warp>(detail::with_order(exec, detail::launch_order::serial), images.batch,
+                          detail::judge_changes{}, images, v);
 }
 
 }  // namespace FT_ABI

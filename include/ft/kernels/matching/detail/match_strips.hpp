@@ -319,32 +319,27 @@ private:
 #endif
     }
   }
-  /// Parts of the rows of a tile; instead of rows that are not there, the last one. All are read
-  /// before the first is stored: the compiler must not do that by itself, since they could overlap.
+  /// Parts of the rows of a tile; instead of rows that are not there, the last one. The number of
+  /// turns is a constant, so that the compiler has all parts read before the first is stored.
   template <typename Group>
   FT_HOST_DEVICE static void load(Group g, scratch& s, strip_pair<D> const& in, int q, int t,
                                   int first) {
     constexpr int each = scratch::each;
     constexpr int turns = ceil_div(match_side * each, match_threads);
-    auto const for_each = [&](auto const& call) {
+    constexpr bool is_whole = reader::parts % each == 0 && match_side * each % match_threads == 0;
+    D const* const rows[2] = {in.query + q, in.train + t};
+    int const last[2] = {in.last_query - q - 1, in.last_train - t - 1};
+    FT_UNROLL
+    for (int of = 0; of < 2; ++of) {
       FT_UNROLL
-      for (int of = 0; of < 2; ++of) {
-        FT_UNROLL
-        for (int k = 0; k < turns; ++k) {
-          int const i = k * match_threads + g.rank();
-          int const row = i / each, p = i % each;
-          bool const is_whole = reader::parts % each == 0 && match_side * each % match_threads == 0;
-          if (is_whole || (row < match_side && first + p < reader::parts)) { call(of, k, row, p); }
+      for (int k = 0; k < turns; ++k) {
+        int const i = k * match_threads + g.rank();
+        int const row = i / each, p = i % each;
+        if (is_whole || (row < match_side && first + p < reader::parts)) {
+          s.rows[of][p][row] = reader::part_of(rows[of][min_of(row, last[of])], first + p);
         }
       }
-    };
-    part parts[2][turns];
-    for_each([&](int of, int k, int row, int p) {
-      D const* const rows = of == 0 ? in.query + q : in.train + t;
-      int const last = (of == 0 ? in.last_query - q : in.last_train - t) - 1;
-      parts[of][k] = reader::part_of(rows[min_of(row, last)], first + p);
-    });
-    for_each([&](int of, int k, int row, int p) { s.rows[of][p][row] = parts[of][k]; });
+    }
   }
   FT_HOST_DEVICE static sum own_sum(scratch const& s, int of, int row) {
     if constexpr (uses_own_sums) {

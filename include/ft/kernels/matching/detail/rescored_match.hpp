@@ -120,8 +120,8 @@ private:
     bool const has_bound = item.distance > no_bound;
     return {has_bound ? item : one::none(), one::none()};
   }
-  /// The distances to two train rows, as distance_by_parts(): rows are loaded by the warp, and a
-  /// lane adds up each sum.
+  /// The distances to two train rows, as distance_by_parts(): rows are loaded by the warp, and four
+  /// lanes add up a sum of four.
   template <typename Group>
   FT_HOST_DEVICE void compare_likely(Group g, int first, int second, one& to_first,
                                      one& to_second) const {
@@ -142,7 +142,6 @@ private:
     for (int p = 0; p < reader::parts; p += each) {
       g.sync();
       if (rank < each && p + rank < reader::parts) {
-        // All are read before the first is stored.
         typename reader::part const parts[3] = {reader::part_of(mine, p + rank),
                                                 reader::part_of(nearest, p + rank),
                                                 reader::part_of(next, p + rank)};

@@ -141,13 +141,15 @@ private:
     g.sync();
   }
   /// Numbers of the rows of a tile; instead of rows that are not there, the last one. Past the last
-  /// run zeros. As many as there are registers for are read before the first is stored.
+  /// run zeros. Of float16 all are read before the first is stored; of others the registers of a
+  /// thread hold those of one tile.
   template <typename Group>
   FT_HOST_DEVICE static void load(Group g, shortlist_scratch& s, strip_pair<D> const& in, int q,
                                   int t, int first, float (&squares)[2], float (&errors)[2]) {
     constexpr int turns = ceil_div(each_runs, loaders);
     constexpr bool is_whole = runs % each_runs == 0 && each_runs % loaders == 0;
-    constexpr int together = limit::of_halves ? 2 * turns : turns;
+    constexpr bool of_words = limit::of_halves && base_model_of<D>::size % 8 == 0;
+    constexpr int together = of_words ? 2 * turns : turns;
     int const row = g.rank() / loaders, lane = g.rank() % loaders;
     D const& query = in.query[q + min_of(row, in.last_query - q - 1)];
     D const& train = in.train[t + min_of(row, in.last_train - t - 1)];

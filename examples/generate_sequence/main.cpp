@@ -96,6 +96,8 @@ int main(int argc, char** argv) {
   add("--accel-walk", options.imu.accel_walk, "density of the bias' walk, m/s^3/sqrt(Hz)");
   add("--gyro-bias", options.gyro_bias, "standard deviation of the first bias, rad/s");
   add("--accel-bias", options.accel_bias, "standard deviation of the first bias, m/s^2");
+  add("--png-level", writing.png_compression,
+      "zlib level of the images, 0 to 9; 0: large files that are read fast");
   add("--threads", writing.threads, "0 = as many as the machine has");
   try {
     app.parse(argc, argv);

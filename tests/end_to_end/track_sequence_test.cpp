@@ -1062,4 +1062,25 @@ TEST(GenerateSequence, MistakesInItsOptionsEndItWithStatus2) {
   EXPECT_TRUE(succeeded(run_program(generator, {"--help"})));
 }
 
+TEST(GenerateSequence, ImagesOfAnyPngLevelHaveTheSamePixels) {
+  temp_folder const folder;
+  auto const generate = [&](std::string const& level) {
+    return run_program(generator, {"--out", folder.path(level), "--frames", "1", "--width", "96",
+                                   "--height", "64", "--png-level", level});
+  };
+  strings files;
+  for (std::string const level : {"0", "9"}) {
+    outcome const o = generate(level);
+    ASSERT_EQ(o.status, 0) << o;
+    for (auto const& file : fs::directory_iterator(folder.path(level + "/mav0/cam0/data"))) {
+      files.push_back(file.path().string());
+    }
+  }
+  ASSERT_EQ(files.size(), 2u);
+  EXPECT_GT(fs::file_size(files[0]), 96u * 64u);
+  EXPECT_LT(fs::file_size(files[1]), 96u * 64u);
+  EXPECT_EQ(seq::read_image(files[0]).pixels, seq::read_image(files[1]).pixels);
+  EXPECT_EQ(generate("10").status, 1);
+}
+
 }  // namespace

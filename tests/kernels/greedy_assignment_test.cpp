@@ -111,9 +111,24 @@ int bit_distance(ft::descriptor const& a, ft::descriptor const& b) {
   return distance;
 }
 
+/// Column and row of each keypoint's cell.
+std::vector<ft::vec2<float>> cells_of(scene const& s) {
+  auto const& g = s.geometry;
+  std::vector<ft::vec2<float>> cells(s.x.size());
+  for (std::size_t image = 0; image < s.count.size(); ++image) {
+    for (int k = 0; k < s.count[image]; ++k) {
+      std::size_t const i = image * at(s.capacity) + at(k);
+      cells[i] = {std::round((s.x[i] - g.min_x) * g.inv_width),
+                  std::round((s.y[i] - g.min_y) * g.inv_height)};
+    }
+  }
+  return cells;
+}
+
 /// Keypoints of an image inside a window, in the order of an area query: section 7, over all
-/// keypoints.
-std::vector<int> keypoints_in_area(scene const& s, int image, ft::search_window const& w) {
+/// keypoints. @param cells of the scene
+std::vector<int> keypoints_in_area(scene const& s, std::vector<ft::vec2<float>> const& cells,
+                                   int image, ft::search_window const& w) {
   auto const& g = s.geometry;
   auto const clamped = [](float v, float low, float high) {
     return static_cast<int>(std::min(std::max(v, low), high));
@@ -138,8 +153,8 @@ std::vector<int> keypoints_in_area(scene const& s, int image, ft::search_window 
         (s.octave[i] < w.min_level || (w.max_level >= 0 && s.octave[i] > w.max_level))) {
       continue;
     }
-    int const cx = static_cast<int>(std::round((s.x[i] - g.min_x) * g.inv_width));
-    int const cy = static_cast<int>(std::round((s.y[i] - g.min_y) * g.inv_height));
+    int const cx = static_cast<int>(cells[i].x);
+    int const cy = static_cast<int>(cells[i].y);
     bool const inside = cx >= cx0 && cx <= cx1 && cy >= cy0 && cy <= cy1;
     if (inside && cx < g.cols && cy < g.rows) { found.emplace_back(cx, cy, k); }
   }
@@ -205,6 +220,7 @@ outcome search_in_order(scene const& s, tally& seen) {
               std::vector<int>(at(s.batch), poison),
               {}};
   bool const local = s.params.kind == ft::search_kind::local_map;
+  auto const cells = cells_of(s);
   for (int b = 0; b < s.batch; ++b) {
     ++seen.frames;
     int* const holder = out.holder.data() + static_cast<std::ptrdiff_t>(b) * s.numbers();
@@ -228,7 +244,7 @@ outcome search_in_order(scene const& s, tally& seen) {
         }
         ++seen.windows;
         int const image = s.image(b, c);
-        auto const area = keypoints_in_area(s, image, w);
+        auto const area = keypoints_in_area(s, cells, image, w);
         if (!local && c == 0 && area.empty()) {
           search_right = false;
           seen.right_not_reached += static_cast<long>(s.cameras == 2);
@@ -713,6 +729,7 @@ protected:
   void check_lists(scene const& s, outcome const& got) {
     using work = ft::search_workspace;
     bool const local = s.params.kind == ft::search_kind::local_map;
+    auto const cells = cells_of(s);
     auto const number = [&](int c, int b, int i) {
       return at((static_cast<std::ptrdiff_t>(c) * s.batch + b) * s.windows + i);
     };
@@ -728,7 +745,7 @@ protected:
             listed = listed && local;
             continue;
           }
-          auto const area = keypoints_in_area(s, s.image(b, c), w);
+          auto const area = keypoints_in_area(s, cells, s.image(b, c), w);
           listed = local || !area.empty();
           bool held = false;
           bool held_near = false;

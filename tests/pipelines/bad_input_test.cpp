@@ -974,6 +974,11 @@ int search_plainly(search_scene const& s, std::vector<told_window> const& window
                    std::vector<int>& holder, std::vector<int>& taken) {
   float const inv_x = 64.0f / width;
   float const inv_y = 48.0f / height;
+  std::vector<std::array<int, 2>> cells;
+  for (int k = 0; k < search_scene::keypoints; ++k) {
+    cells.push_back({static_cast<int>(std::round(s.x[at(k)] * inv_x)),
+                     static_cast<int>(std::round(s.y[at(k)] * inv_y))});
+  }
   int matches = 0;
   taken.assign(windows.size(), -1);
   for (std::size_t i = 0; i < windows.size(); ++i) {
@@ -981,8 +986,7 @@ int search_plainly(search_scene const& s, std::vector<told_window> const& window
     if (w.slot < 0) { continue; }
     std::vector<std::array<int, 3>> area;  // in the order of the grid's cells
     for (int k = 0; k < search_scene::keypoints; ++k) {
-      int const cx = static_cast<int>(std::round(s.x[at(k)] * inv_x));
-      int const cy = static_cast<int>(std::round(s.y[at(k)] * inv_y));
+      auto const [cx, cy] = cells[at(k)];
       if (cx > 63 || cy > 47) { continue; }
       int const o = s.octave[at(k)];
       if (o < w.low || (w.high >= 0 && o > w.high)) { continue; }

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstring>
 #include <utility>
 
 #include "examples/sequence/detail/random.hpp"
@@ -22,25 +23,44 @@ struct facing {
   texture const* skin = nullptr;
 };
 
-struct hit {
-  int id = -1;  // into the list of facing surfaces
-  float s = 0, t = 0;
+// What N pixels see. N = 16 is a row of a tile.
+template <std::size_t N>
+struct rays {
+  std::array<float, N> x, y, z;
+};
+template <std::size_t N>
+struct hits {
+  std::array<int, N> id;  // into the list of facing surfaces; -1 = nothing
+  std::array<float, N> s, t;
 };
 
-hit nearest(std::vector<facing> const& surfaces, std::vector<int> const& candidates,
-            Eigen::Vector3f const& ray) {
-  hit best;
-  float best_inverse = 0;
+float dot(Eigen::Vector3f const& a, float x, float y, float z) {
+  return a.x() * x + (a.y() * y + a.z() * z);
+}
+
+template <std::size_t N>
+hits<N> nearest(std::vector<facing> const& surfaces, std::vector<int> const& candidates,
+                rays<N> const& r) {
+  hits<N> best;
+  std::array<float, N> best_inverse;
+  for (std::size_t k = 0; k < N; ++k) {
+    best.id[k] = -1;
+    best.s[k] = best.t[k] = best_inverse[k] = 0;
+  }
   for (int id : candidates) {
-    facing const& f = surfaces[static_cast<std::size_t>(id)];
-    float const inverse = f.inverse.dot(ray);
-    if (!(inverse > best_inverse)) { continue; }
-    float const depth = 1.0f / inverse;
-    float const s = depth * f.along.dot(ray) - f.s0;
-    float const t = depth * f.up.dot(ray) - f.t0;
-    if (s < 0 || t < 0 || s > f.width || t > f.height) { continue; }
-    best_inverse = inverse;
-    best = {id, s, t};
+    facing const f = surfaces[static_cast<std::size_t>(id)];
+    for (std::size_t k = 0; k < N; ++k) {
+      float const inverse = dot(f.inverse, r.x[k], r.y[k], r.z[k]);
+      float const depth = 1.0f / inverse;
+      float const s = depth * dot(f.along, r.x[k], r.y[k], r.z[k]) - f.s0;
+      float const t = depth * dot(f.up, r.x[k], r.y[k], r.z[k]) - f.t0;
+      bool const nearer =
+          (inverse > best_inverse[k]) & !(s < 0) & !(t < 0) & !(s > f.width) & !(t > f.height);
+      best_inverse[k] = nearer ? inverse : best_inverse[k];
+      best.id[k] = nearer ? id : best.id[k];
+      best.s[k] = nearer ? s : best.s[k];
+      best.t[k] = nearer ? t : best.t[k];
+    }
   }
   return best;
 }
@@ -60,9 +80,34 @@ footprint measure(facing const& f, Eigen::Vector3f const& ray, Eigen::Vector3f c
   return f.skin->measure(sr - s, tr - t, sd - s, td - t);
 }
 
-float shade(facing const& f, hit const& h, footprint const& width) {
-  float const k = f.skin->texels_per_m;
-  return f.skin->sample(h.s * k, h.t * k, width);
+template <std::size_t N>
+four four_from(std::array<float, N> const& all, std::size_t first) {
+  four out;
+  std::memcpy(&out, all.data() + first, sizeof out);
+  return out;
+}
+
+// The grey levels of four of the pixels, from the one numbered `first`.
+// @param measure_at the width of a read at one of the four; of one surface it is that of its first.
+template <std::size_t N, typename Measure>
+four shade(std::vector<facing> const& surfaces, hits<N> const& found, std::size_t first,
+           Measure const& measure_at) {
+  four out{};
+  four seen{};
+  int measured = -1;
+  for (std::size_t i = 0; i < 4; ++i) {
+    int const id = found.id[first + i];
+    if (id < 0) { continue; }
+    if (id != measured) {
+      facing const& f = surfaces[static_cast<std::size_t>(id)];
+      float const k = f.skin->texels_per_m;
+      seen = f.skin->sample(k * four_from(found.s, first), k * four_from(found.t, first),
+                            measure_at(f, i));
+      measured = id;
+    }
+    out[i] = seen[i];
+  }
+  return out;
 }
 
 void face(placed_surfaces const& placed, std::vector<facing>& out) {
@@ -146,28 +191,38 @@ private:
   void trace_centres(tile const& t) {
     find_candidates(visible_, t, candidates_);
     for (int y = t.y0; y < t.y1; ++y) {
-      int measured = -1;
-      footprint width;
-      for (int x = t.x0; x < t.x1; ++x) {
-        if ((x & 3) == 0) { measured = -1; }
-        std::size_t const i = at(x, y);
-        if (v_.light[i] <= 0.0f) { continue; }
-        hit const found = nearest(visible_, candidates_, v_.rays[i]);
-        if (found.id < 0) { continue; }
-        facing const& f = visible_[static_cast<std::size_t>(found.id)];
-        if (found.id != measured) {
-          width = measure(f, v_.rays[i], neighbour(x, y, 1, 0), neighbour(x, y, 0, 1));
-          measured = found.id;
-        }
-        out_[i] = shade(f, found, width);
-        ids_[i] = static_cast<std::int16_t>(found.id);
-      }
+      auto const found = nearest(visible_, candidates_, row_of(t, y));
+      for (int x = t.x0; x < t.x1; x += 4) { shade_four(found, x, y, t); }
+    }
+  }
+  rays<tile_side> row_of(tile const& t, int y) const {
+    rays<tile_side> out{};
+    for (int x = t.x0; x < t.x1; ++x) {
+      std::size_t const i = at(x, y);
+      if (v_.light[i] <= 0.0f) { continue; }
+      auto const k = static_cast<std::size_t>(x - t.x0);
+      out.x[k] = v_.rays[i].x();
+      out.y[k] = v_.rays[i].y();
+      out.z[k] = v_.rays[i].z();
+    }
+    return out;
+  }
+  void shade_four(hits<tile_side> const& found, int x, int y, tile const& t) {
+    auto const first = static_cast<std::size_t>(x - t.x0);
+    four const grey = shade(visible_, found, first, [&](facing const& f, std::size_t k) {
+      int const u = x + static_cast<int>(k);
+      return measure(f, v_.rays[at(u, y)], neighbour(u, y, 1, 0), neighbour(u, y, 0, 1));
+    });
+    for (int k = 0; k < std::min(4, t.x1 - x); ++k) {
+      out_[at(x + k, y)] = grey[static_cast<std::size_t>(k)];
+      ids_[at(x + k, y)] = static_cast<std::int16_t>(found.id[first + static_cast<std::size_t>(k)]);
     }
   }
   // Four samples a pixel where neighbours see different surfaces.
   void refine_outlines(tile const& t) {
     bool ready = false;
     for (int y = t.y0; y < t.y1; ++y) {
+      if (!has_outline(t, y)) { continue; }
       for (int x = t.x0; x < t.x1; ++x) {
         if (!is_outline(x, y)) { continue; }
         if (!ready) {
@@ -177,6 +232,18 @@ private:
         sample_four(x, y);
       }
     }
+  }
+  // Whether a pixel of the tile's row may be one: most rows have none.
+  bool has_outline(tile const& t, int y) const {
+    std::int16_t const* const row = ids_.data() + at(0, y);
+    std::int16_t const* const above = ids_.data() + at(0, std::max(y - 1, 0));
+    std::int16_t const* const below = ids_.data() + at(0, std::min(y + 1, h_ - 1));
+    bool differ = false;
+    for (int x = t.x0; x < t.x1; ++x) { differ |= (row[x] != above[x]) | (row[x] != below[x]); }
+    for (int x = std::max(t.x0, 1); x < std::min(t.x1 + 1, w_); ++x) {
+      differ |= row[x] != row[x - 1];
+    }
+    return differ;
   }
   bool is_outline(int x, int y) const {
     std::size_t const i = at(x, y);
@@ -189,16 +256,24 @@ private:
     Eigen::Vector3f const ray = v_.rays[at(x, y)];
     Eigen::Vector3f const right = neighbour(x, y, 1, 0);
     Eigen::Vector3f const down = neighbour(x, y, 0, 1);
+    rays<4> around;
+    for (std::size_t k = 0; k < 4; ++k) {
+      float const du = (k & 1u) != 0 ? 0.25f : -0.25f;
+      float const dv = (k & 2u) != 0 ? 0.25f : -0.25f;
+      Eigen::Vector3f const shifted = ray + du * (right - ray) + dv * (down - ray);
+      around.x[k] = shifted.x();
+      around.y[k] = shifted.y();
+      around.z[k] = shifted.z();
+    }
+    auto const found = nearest(visible_, candidates_, around);
+    four const grey = shade(visible_, found, 0, [&](facing const& f, std::size_t) {
+      return measure(f, ray, right, down);
+    });
     float sum = 0;
     int samples = 0;
-    for (int k = 0; k < 4; ++k) {
-      float const du = (k & 1) != 0 ? 0.25f : -0.25f;
-      float const dv = (k & 2) != 0 ? 0.25f : -0.25f;
-      Eigen::Vector3f const shifted = ray + du * (right - ray) + dv * (down - ray);
-      hit const found = nearest(visible_, candidates_, shifted);
-      if (found.id < 0) { continue; }
-      facing const& f = visible_[static_cast<std::size_t>(found.id)];
-      sum += shade(f, found, measure(f, ray, right, down));
+    for (std::size_t k = 0; k < 4; ++k) {
+      if (found.id[k] < 0) { continue; }
+      sum += grey[k];
       ++samples;
     }
     if (samples > 0) { out_[at(x, y)] = sum / static_cast<float>(samples); }

@@ -176,16 +176,16 @@ mip_level halved(mip_level const& from) {
 
 }  // namespace
 
-float texture::sample(float x, float y, footprint const& f) const {
-  float sum = 0;
+four texture::sample(four x, four y, footprint const& f) const {
+  four sum{};
   float const halved = 0.5f * static_cast<float>(f.taps - 1);
   float const scale = 1.0f / static_cast<float>(1 << f.level);
+  auto const level = static_cast<std::size_t>(f.level);
   for (int i = 0; i < f.taps; ++i) {
     float const offset = static_cast<float>(i) - halved;
-    float const tx = (x + offset * f.step_x) * scale;
-    float const ty = (y + offset * f.step_y) * scale;
-    auto const level = static_cast<std::size_t>(f.level);
-    float value = levels[level].bilinear(tx - 0.5f, ty - 0.5f);
+    four const tx = (x + offset * f.step_x) * scale;
+    four const ty = (y + offset * f.step_y) * scale;
+    four value = levels[level].bilinear(tx - 0.5f, ty - 0.5f);
     if (f.blend > 0.0f) {
       value += f.blend * (levels[level + 1].bilinear(0.5f * tx - 0.5f, 0.5f * ty - 0.5f) - value);
     }

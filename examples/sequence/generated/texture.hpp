@@ -10,6 +10,16 @@
 
 namespace seq::generated {
 
+/// Of pixels beside each other, which are computed together.
+typedef float four __attribute__((vector_size(4 * sizeof(float))));
+typedef int four_ints __attribute__((vector_size(4 * sizeof(int))));
+
+inline four between_zero_and(four x, int most) {
+  four const limit = four{} + static_cast<float>(most);
+  x = x < 0.0f ? four{} : x;
+  return limit < x ? limit : x;
+}
+
 struct mip_level {
   int width = 0;
   int height = 0;
@@ -32,17 +42,26 @@ struct mip_level {
   }
   /// Inline: in a shared library the compiler may not inline others. @param x, y texel centres are
   /// at integer coordinates
-  float bilinear(float x, float y) const {
-    x = std::min(std::max(x, 0.0f), static_cast<float>(width - 1));
-    y = std::min(std::max(y, 0.0f), static_cast<float>(height - 1));
-    int const ix = static_cast<int>(x);
-    int const iy = static_cast<int>(y);
-    float const fx = x - static_cast<float>(ix);
-    float const fy = y - static_cast<float>(iy);
-    std::uint8_t const* p = row(iy) + ix;
-    std::uint8_t const* q = p + stride;
-    float const top = static_cast<float>(p[0]) + fx * static_cast<float>(p[1] - p[0]);
-    float const bottom = static_cast<float>(q[0]) + fx * static_cast<float>(q[1] - q[0]);
+  four bilinear(four x, four y) const {
+    x = between_zero_and(x, width - 1);
+    y = between_zero_and(y, height - 1);
+    four_ints const ix = __builtin_convertvector(x, four_ints);
+    four_ints const iy = __builtin_convertvector(y, four_ints);
+    four const fx = x - __builtin_convertvector(ix, four);
+    four const fy = y - __builtin_convertvector(iy, four);
+    four_ints above, below;
+    for (int k = 0; k < 4; ++k) {
+      std::uint8_t const* const p = row(iy[k]) + ix[k];
+      std::uint8_t const* const q = p + stride;
+      above[k] = p[0] | p[1] << 8;
+      below[k] = q[0] | q[1] << 8;
+    }
+    four const a = __builtin_convertvector(above & 255, four);
+    four const b = __builtin_convertvector(above >> 8, four);
+    four const c = __builtin_convertvector(below & 255, four);
+    four const d = __builtin_convertvector(below >> 8, four);
+    four const top = a + fx * (b - a);
+    four const bottom = c + fx * (d - c);
     return top + fy * (bottom - top);
   }
 };
@@ -60,7 +79,7 @@ struct texture {
   std::vector<mip_level> levels;
 
   /// @param x, y texels of level 0, from the texture's corner
-  float sample(float x, float y, footprint const& f) const;
+  four sample(four x, four y, footprint const& f) const;
 
   /// @param ax, ay, bx, by texels moved per pixel to the right, and down
   footprint measure(float ax, float ay, float bx, float by) const;

@@ -103,7 +103,6 @@ std::optional<Eigen::Vector3d> unproject(camera_intrinsics const& c, double u, d
 
 view make_view(camera_intrinsics const& camera, Eigen::Isometry3d const& T_left_this,
                bool vignetting) {
-  constexpr int side = 16;
   view out;
   out.camera = camera;
   out.T_left_this = T_left_this;
@@ -113,13 +112,13 @@ view make_view(camera_intrinsics const& camera, Eigen::Isometry3d const& T_left_
   out.rays.assign(count, Eigen::Vector3f::Zero());
   out.light.assign(count, 0.0f);
   fill_pixels(out, vignetting);
-  for (int y = 0; y < h; y += side) {
-    for (int x = 0; x < w; x += side) {
+  for (int y = 0; y < h; y += tile_side) {
+    for (int x = 0; x < w; x += tile_side) {
       tile t;
       t.x0 = x;
-      t.x1 = std::min(x + side, w);
+      t.x1 = std::min(x + tile_side, w);
       t.y0 = y;
-      t.y1 = std::min(y + side, h);
+      t.y1 = std::min(y + tile_side, h);
       bound_rays(t, out);
       out.tiles.push_back(t);
     }

@@ -22,6 +22,8 @@ double kannala_brandt(std::vector<double> const& k, double angle);
 /// A point on the ray of a pixel; nothing outside the lens' range.
 std::optional<Eigen::Vector3d> unproject(camera_intrinsics const& c, double u, double v);
 
+constexpr int tile_side = 16;  ///< pixels
+
 /// Rays of a block of pixels lie between four planes through the camera.
 struct tile {
   int x0 = 0, x1 = 0, y0 = 0, y1 = 0;  ///< pixels, end excluded

@@ -65,7 +65,8 @@ class Workshop:
         def make():
             folder = self.folder / "generated" / sha256_of(repr(options))
             if not folder.is_dir():
-                done = call([self.programs / "generate_sequence", "--out", folder, "--threads", 1, *options])
+                # each image is read several times, which is faster without compression
+                done = call([self.programs / "generate_sequence", "--out", folder, "--threads", 1, "--png-level", 0, *options])
                 if done.returncode != 0:
                     raise Failure(f"generate_sequence: {done.stderr.strip()}")
             return folder

@@ -25,7 +25,6 @@ FLAGS = "-std=c++17 -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Werror".spli
 ROOT = Path(__file__).resolve().parents[2]
 SHIM = ("integration/orbslam3/front_end.hpp", "integration/orbslam3/make_tracker.hpp")
 EIGEN = "/usr/include/eigen3"
-TYPES = r"int|float|double|bool|auto|unsigned|\w+_t"
 
 
 def plain_includes(path):
@@ -94,10 +93,12 @@ class checker:
     def namesakes(self):
         """Headers with constants, each with those that may have a variable of the same name."""
         texts = {n: (self.include / n).read_text(encoding="utf-8") for n in self.headers if n not in SHIM}
+        codes = {n: re.sub(r"//.*", "", text) for n, text in texts.items()}
         for name, text in texts.items():
             constants = re.findall(r"^inline constexpr [^=({;]*\b(\w+)(?:\[[^]]*\])? *[={]", text, re.M)
-            variable = re.compile(rf"^ .*\b(?:{TYPES})(?: const)?[&* ]+(?:{'|'.join(constants)})\b(?! *\()", re.M)
-            others = [n for n in texts if n != name and variable.search(texts[n])] if constants else []
+            names = "|".join(constants)
+            variable = re.compile(rf"(?<!\breturn)(?<=[\w>&*])\s+[&*]*(?:{names})\b\s*(?:=[^=]|[,;){{\[])|,\s*(?:{names})\s*=[^=]")
+            others = [n for n in codes if n != name and variable.search(codes[n])] if constants else []
             if others:
                 yield name, others
 
@@ -140,7 +141,12 @@ BAD = {
     "warns": '#pragma once\n#include "ft/good.hpp"\ninline char narrow(int i) { return i; }\n',
     "last": '#pragma once\n#include "ft/warns.hpp"\ninline auto last() { return narrow(int(more().size())); }\n',
 }
-LOCAL = "#pragma once\ninline int local() {\n  int name = 1;\n  return name;\n}\n"
+LOCALS = (
+    "inline int local() {\n  int name = 1;\n  return name;\n}\n",
+    "inline int local() {\n  int a = 0, name = 1;\n  return a + name;\n}\n",
+    "struct some_type {\n  int v;\n};\ninline int local() {\n  some_type name{1};\n  return name.v;\n}\n",
+    "inline int local(int name) { return 2 * name; }\n",
+)
 SHADOWED = "#pragma once\ninline constexpr int name = 2;\n"
 
 
@@ -161,8 +167,8 @@ def self_test():
     for files, expected in (
         (SELF_TEST, []),
         (SELF_TEST | BAD, sorted(BAD)),
-        (SELF_TEST | {"a": LOCAL, "b": SHADOWED}, ["b"]),
-        (SELF_TEST | {"a": SHADOWED, "b": LOCAL}, ["a"]),
+        *((SELF_TEST | {"a": "#pragma once\n" + local, "b": SHADOWED}, ["b"]) for local in LOCALS),
+        *((SELF_TEST | {"a": SHADOWED, "b": "#pragma once\n" + local}, ["a"]) for local in LOCALS),
     ):
         found = found_in(files)
         if found != expected:

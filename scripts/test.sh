@@ -12,8 +12,8 @@ usage: scripts/test.sh [--quick]
 
 The whole check, as the CI runs it. The first time it installs what is missing (apt-get).
   --quick   the library alone: its stages and pipelines, the camera contract, recorded answers and headers; of CUDA
-            the conformance program, which has every stage, and the headers. No applications, integration, Python, sanitizers,
-            fuzzers, consumer projects or benches. It has a build folder of its own, build-quick
+            the conformance program, which has every recorded stage, an odometry and the headers. No applications, integration,
+            Python, sanitizers, fuzzers, consumer projects or benches. It has a build folder of its own, build-quick
 FT_JOBS is the number of jobs at a time; FT_DATA the folder of the recorded data of the golden
 tests, which skip without it; FT_REQUIRE_GPU=1 makes tests fail that find no GPU, instead of skipping.
 EOF
@@ -297,7 +297,7 @@ else
 fi
 if ((have_cuda && quick)); then
   step "CUDA: build a part" cmake --build "$build" --parallel "$jobs" \
-    --target conformance header_check_cuda
+    --target conformance first_pose_cuda header_check_cuda
   step "CUDA: conformance, skipped without a device" run_ctest cuda "$build" -R conformance_cuda
 elif ((have_cuda)); then
   step "CUDA, examples, benches: build" build_all "$build"

@@ -79,6 +79,7 @@ TYPED_TEST(WatchImages, FindWhatIsFixedWhileTheRestMoves) {
     EXPECT_EQ(c.of(0).same, 0);
     EXPECT_EQ(c.of(0).still, frame == 0 ? 0 : changes::cells / 3);
     EXPECT_EQ(c.of(0).moved, frame == 0 ? 0 : changes::cells * 2 / 3);
+    EXPECT_EQ(c.of(0).fixed, frame == 0 ? 0 : changes::cells / 3);
     EXPECT_EQ(c.fixed(0, 100, 200), frame > 0);
     EXPECT_EQ(c.fixed(0, 100, 200, true), frame >= 8);
     EXPECT_FALSE(c.fixed(0, 100, 120));
@@ -150,6 +151,35 @@ TYPED_TEST(WatchImages, NothingIsFixedInAFlatOrAStillImage) {
   // Pixels at, and outside of, the border belong to the outermost cells.
   EXPECT_FALSE(c.fixed(1, -5, -5));
   EXPECT_FALSE(c.fixed(1, 1e6f, 1e6f));
+}
+
+TYPED_TEST(WatchImages, SumsOfAllSamplesAndNothingOfAnAbsentImage) {
+  TypeParam backend;
+  camera<typename TypeParam::exec_type> c(backend.exec, 320, 240);
+  auto const grey = [](int i, int x, int y) { return texture(x + i, y); };
+  int sum = 0, squares = 0;
+  for (int y = 0; y < changes::rows * changes::side; ++y) {
+    for (int x = 0; x < changes::columns * changes::side; ++x) {
+      int const v = texture((2 * x + 1) * 320 / 256, (2 * y + 1) * 240 / 192);
+      sum += v;
+      squares += v * v;
+    }
+  }
+  c.see(grey);
+  EXPECT_EQ(c.of(0).sum, sum);
+  EXPECT_EQ(c.of(0).squares, squares);
+
+  c.data.device.images.absent = {2, 2};
+  c.see(grey);
+  EXPECT_EQ(c.of(0).same, 1);
+  changes const& absent = c.of(1);
+  EXPECT_EQ(absent.textured + absent.moved + absent.still + absent.same + absent.sum, 0);
+  EXPECT_EQ(absent.squares + absent.streaked + absent.fixed, 0);
+  for (unsigned const bits : absent.now) { EXPECT_EQ(bits, 0U); }
+
+  c.data.device.images.absent = {};
+  c.see(grey);
+  EXPECT_EQ(c.of(1).same, 1) << "as the frame before it was absent";
 }
 
 }  // namespace watch_images_test

@@ -120,8 +120,11 @@ def test_a_corner_ratio_leaves_out_edges(walk):
     image = walk.frame(0)[0]
     counts = [len(ft.OrbExtractor(WIDTH, HEIGHT, device="host", features=200, corner_ratio=r).extract(image)) for r in (0, 1e-6, 0.5)]
     assert counts[0] == counts[1] > counts[2] > 0
-    kept = follow(odometry(corner_ratio=1e-6), walk, 3)[-1].keypoints
-    assert kept > follow(odometry(), walk, 3)[-1].keypoints > follow(odometry(corner_ratio=0.5), walk, 3)[-1].keypoints
+    def found(**options):
+        return follow(odometry(**options), walk, 3)[-1].keypoints
+
+    assert found(corner_ratio=1e-6) >= found() > found(corner_ratio=0.5) > 0
+    assert found() == found(corner_ratio=1 / 16), "the default"
 
 
 @pytest.mark.parametrize("b", [-1, 1, 2**31 - 1])

@@ -2,16 +2,19 @@
 """Tracks a recording of a rectified pair or of a camera with depth images by ft's own keypoints, and by those of OpenCV's
 ORB, AKAZE and SIFT. Prints the errors of all.
 
-    python examples/own_features/main.py FOLDER [--features 1200] [--device host]
+    python examples/own_features/main.py FOLDER [--features 1200] [--device host] [--xfeat CLONE]
 
-Needs opencv-python-headless.
+Needs opencv-python-headless. --xfeat: also by the network XFeat, of a clone of verlab/accelerated_features with its
+weights/xfeat.pt; needs PyTorch. Nothing is downloaded.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import time
-from typing import Callable, Optional
+from pathlib import Path
+from typing import Any, Callable, Optional
 
 import cv2
 import numpy as np
@@ -29,6 +32,28 @@ DETECTORS: dict[str, tuple[str, Optional[float], Callable[[int], cv2.Feature2D]]
     "AKAZE": ("bits_512", 4.8, lambda n: getattr(cv2, "AKAZE").create(threshold=1e-4)),
     "SIFT": ("int8_128", 3.2, lambda n: cv2.SIFT.create(n, contrastThreshold=0.02)),
 }
+
+
+def xfeat(clone: str, n: int) -> Found:
+    """Keypoints of the network, with the weights that lie in the clone; without, as its random weights make them."""
+    torch: Any = importlib.import_module("torch")
+    network = torch.hub.load(clone, "XFeat", source="local", pretrained=False, top_k=n)
+    weights = Path(clone, "weights", "xfeat.pt")
+    if weights.is_file():
+        network.net.load_state_dict(torch.load(weights, map_location="cpu"))
+    else:
+        print(f"{weights} is not there: the network's weights are random")
+
+    def found(image: NDArray[np.uint8]) -> ft.ImageFeatures:
+        of = network.detectAndCompute(torch.from_numpy(np.array(image))[None, None].float(), top_k=n)[0]
+        positions, score, rows = (of[k].cpu().numpy() for k in ("keypoints", "scores", "descriptors"))
+        # 64 numbers, and length 1. Rows of one point are up to 250 apart in ft's steps: here that is an angle of 35 degrees,
+        # the cosine 0.82 below which XFeat's own matcher takes none.
+        steps = np.clip(np.rint(250 / 0.6 * rows), -127, 127).astype(np.int8)
+        return ft.ImageFeatures(positions, np.pad(steps, ((0, 0), (0, 128 - steps.shape[1]))), score=score,
+                                deviation=np.ones(len(rows), np.float32))
+
+    return found
 
 
 def features_of(found: Found, frame: ft.Frame, unit: Optional[float]) -> tuple[ft.ImageFeatures, ...]:
@@ -63,6 +88,7 @@ def main() -> None:
     arguments.add_argument("folder")
     arguments.add_argument("--features", type=int, default=1200)
     arguments.add_argument("--device", default="auto")
+    arguments.add_argument("--xfeat", metavar="CLONE")
     given = arguments.parse_args()
     sequence = ft.read_sequence(given.folder)
     width, height, features, device = sequence.width, sequence.height, int(given.features), str(given.device)
@@ -72,18 +98,23 @@ def main() -> None:
     images = ft.Odometry(sequence.rig, width, height, features=features, device=device)
     follow(sequence, "ft, of images", lambda frame: images.track(*frame.images, frame.time_ns))
 
+    def follow_own(name: str, descriptors: str, found: Found) -> None:
+        own = ft.Odometry(sequence.rig, width, height, features=features, device=device, own_features=True,
+                          descriptors=descriptors)
+        follow(sequence, name, lambda f: own.track_features(*features_of(found, f, unit), f.time_ns))
+
     for name, (descriptors, pixel_size, make) in DETECTORS.items():
         if not hasattr(cv2, name):
             print(f"{name}: not in this OpenCV")
             continue
         detector = make(features)
-        odometry = ft.Odometry(sequence.rig, width, height, features=features, device=device, own_features=True,
-                               descriptors=descriptors)
 
         def found(image: NDArray[np.uint8]) -> ft.ImageFeatures:
             return ft.ImageFeatures.from_cv2(*detector.detectAndCompute(image, None), pixel_size=pixel_size)
 
-        follow(sequence, f"cv2.{name}", lambda f: odometry.track_features(*features_of(found, f, unit), f.time_ns))
+        follow_own(f"cv2.{name}", descriptors, found)
+    if given.xfeat:
+        follow_own("XFeat", "int8_128", xfeat(given.xfeat, features))
 
 
 if __name__ == "__main__":

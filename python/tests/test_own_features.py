@@ -2,6 +2,8 @@
 """Keypoints of the caller."""
 
 import ctypes
+import importlib.util
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -311,3 +313,50 @@ def test_what_other_descriptors_have_not(walk, matches, tmp_path):
     with pytest.raises(ValueError, match="own_features"):
         ft.Odometry(ft.RectifiedPair(CAMERA, BASELINE), WIDTH, HEIGHT, device="host", descriptors="int8_128")
     assert other.track_features(*described(pair(matches[0]), OTHERS["bits_512"]), 2).state
+
+
+NETWORK = '''
+import torch
+from torch.nn import functional
+
+
+class Network:
+    """What XFeat's is to its callers; one layer of random weights."""
+
+    def __init__(self):
+        self.weights = torch.randn(64, 1, 17, 17, generator=torch.Generator().manual_seed(3))
+
+    def detectAndCompute(self, x, top_k):
+        mean = functional.avg_pool2d(x, 9, 1, 4)
+        spread = functional.avg_pool2d(x * x, 9, 1, 4) - mean * mean
+        peaks = (spread == functional.max_pool2d(spread, 7, 1, 3))[0, 0]
+        peaks[:16], peaks[-16:], peaks[:, :16], peaks[:, -16:] = False, False, False, False
+        y, x_ = peaks.nonzero().T
+        scores, order = spread[0, 0, y, x_].sort(descending=True)
+        order = order[:top_k]
+        rows = functional.conv2d(x - mean, self.weights, padding=8)[0, :, y[order], x_[order]].T
+        return [{"keypoints": torch.stack((x_[order], y[order]), 1).float(), "scores": scores[:top_k],
+                 "descriptors": functional.normalize(rows, dim=1)}]
+
+
+def XFeat(pretrained, top_k):
+    assert not pretrained
+    return Network()
+'''
+
+
+def test_a_network_with_random_weights(walk, tmp_path, capsys):
+    pytest.importorskip("cv2")
+    pytest.importorskip("torch")
+    path = Path(__file__).parents[2] / "examples/own_features/main.py"
+    spec = importlib.util.spec_from_file_location("own_features_example", path)
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    (tmp_path / "hubconf.py").write_text(NETWORK)
+    found = example.xfeat(str(tmp_path), 400)
+    assert "weights are random" in capsys.readouterr().out
+    frames = [[found(image) for image in walk.frame(i)[:2]] for i in range(FRAMES)]
+    assert frames[0][0].descriptors.shape == (len(frames[0][0].positions), 128) and not frames[0][0].descriptors[:, 64:].any()
+    poses = follow(odometry(descriptors="int8_128"), frames)
+    for i, p in enumerate(poses):  # whole pixels, whose errors neighbours share, so that there may be warnings
+        assert p.tracked and p.maps == 1 and np.allclose(p.T_world_camera[:2, 3], walk.position(i), atol=0.05)

@@ -11,7 +11,7 @@ usage() {
 usage: scripts/test.sh [--quick]
 
 The whole check, as the CI runs it. The first time it installs what is missing (apt-get).
-  --quick   the library alone: its stages and pipelines, the camera contract, recorded answers and headers; of CUDA
+  --quick   the library alone: its stages, whole frames, the camera contract, recorded answers and headers; of CUDA
             the conformance program, which has every recorded stage, an odometry and the headers. No applications, integration,
             Python, sanitizers, fuzzers, consumer projects or benches. It has a build folder of its own, build-quick
 FT_JOBS is the number of jobs at a time; FT_DATA the folder of the recorded data of the golden
@@ -197,11 +197,11 @@ cuda_options() {
 
 # One folder serves both executors: first the tests of the C++ compiler, then the rest.
 configure_build() {
-  local cuda once=ON
+  local cuda which=FT_TESTS_ONCE
   read -ra cuda <<<"$(cuda_options)"
-  if ((quick)); then once=OFF; fi
+  if ((quick)); then which=FT_TESTS_SHORT; fi
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=24 -DFT_TESTS_ONCE=$once \
+    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=24 -D$which=ON \
     -DFT_TEST_SHARDS=$((2 * jobs)) "${cuda[@]}"
 }
 quick_tests=(stage_tests_host optimized_tests_host contract_tests_host conformance)

@@ -36,3 +36,11 @@ endforeach()
 # As a CUDA compiler says it to device code.
 expect_refused("compute capability 7.0" -std=c++17 -D__CUDA_ARCH__=610 ${small_unit})
 expect_accepted(-std=c++17 -D__CUDA_ARCH__=700 ${small_unit})
+# Another descriptor has a namespace of its own, which the first header names.
+set(own "struct own : ft::binary_descriptor<192> {\n  static constexpr char const* name = \"own\";\n};\n")
+set(early ${CMAKE_CURRENT_BINARY_DIR}/refused_flags_early.cpp)
+file(WRITE ${early} "#define FT_DESCRIPTOR own\n#include \"ft/descriptors/binary_descriptor.hpp\"\n${own}#include \"ft/containers/keypoints.hpp\"\n")
+set(late ${CMAKE_CURRENT_BINARY_DIR}/refused_flags_late.cpp)
+file(WRITE ${late} "#include \"ft/descriptors/binary_descriptor.hpp\"\n${own}#define FT_DESCRIPTOR own\n#include \"ft/containers/keypoints.hpp\"\n")
+expect_accepted(-std=c++17 ${early})
+expect_refused("define it before the first one" -std=c++17 ${late})

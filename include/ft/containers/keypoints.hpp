@@ -29,6 +29,9 @@ inline namespace FT_ABI {
 ///     #include "ft/pipelines/odometry.hpp"
 ///
 /// Units with other descriptors may be in one program.
+#if defined(FT_DESCRIPTOR) && defined(FT_WITHOUT_DESCRIPTOR)
+#error "FT_DESCRIPTOR is defined after a header of ft: define it before the first one"
+#endif
 #if defined(FT_DESCRIPTOR)
 using descriptor = ::FT_DESCRIPTOR;
 static_assert(assert_descriptor_model<descriptor>::value, "FT_DESCRIPTOR keeps the contract");

@@ -42,6 +42,7 @@
 #define FT_ABI FT_JOINED(FT_JOINED(v0_, FT_BACKEND, _), FT_DESCRIPTOR, )
 #else
 #define FT_ABI FT_JOINED(v0_, FT_BACKEND, )
+#define FT_WITHOUT_DESCRIPTOR  // keypoints.hpp refuses one that is defined later
 #endif
 
 #if defined(__GNUC__)

@@ -178,7 +178,8 @@ struct lane_tests<warp_group> {
 template <typename D>
 FT_HOST_DEVICE FT_INLINE binary_descriptor<256>& orb_bits(D& row) {
   static_assert(std::is_same<D, binary_descriptor<256>>::value,
-                "ft finds ORB's keypoints in images: of another FT_DESCRIPTOR give your own");
+                "ft finds ORB's keypoints in images: of another FT_DESCRIPTOR give your own, or "
+                "those of an orb_extractor in a unit without FT_DESCRIPTOR");
   return row;
 }
 

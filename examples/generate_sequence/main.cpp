@@ -97,7 +97,8 @@ int main(int argc, char** argv) {
   add("--gyro-bias", options.gyro_bias, "standard deviation of the first bias, rad/s");
   add("--accel-bias", options.accel_bias, "standard deviation of the first bias, m/s^2");
   add("--png-level", writing.png_compression,
-      "zlib level of the images, 0 to 9; 0: large files that are read fast");
+      "zlib level of the images; 0: large files that are read fast")
+      ->check(CLI::Range(0, 9));
   add("--threads", writing.threads, "0 = as many as the machine has");
   try {
     app.parse(argc, argv);

@@ -40,7 +40,7 @@ def xfeat(clone: str, n: int) -> Found:
     network = torch.hub.load(clone, "XFeat", source="local", pretrained=False, top_k=n)
     weights = Path(clone, "weights", "xfeat.pt")
     if weights.is_file():
-        network.net.load_state_dict(torch.load(weights, map_location="cpu"))
+        network.net.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
     else:
         print(f"{weights} is not there: the network's weights are random")
 

@@ -1080,7 +1080,8 @@ TEST(GenerateSequence, ImagesOfAnyPngLevelHaveTheSamePixels) {
   EXPECT_GT(fs::file_size(files[0]), 96u * 64u);
   EXPECT_LT(fs::file_size(files[1]), 96u * 64u);
   EXPECT_EQ(seq::read_image(files[0]).pixels, seq::read_image(files[1]).pixels);
-  EXPECT_EQ(generate("10").status, 1);
+  EXPECT_EQ(generate("10").status, 2);
+  EXPECT_EQ(generate("-1").status, 2);
 }
 
 }  // namespace

@@ -252,10 +252,11 @@ struct judge_changes {
       all.grey = all.grey + rows[r].grey;
       all.slopes = all.slopes + rows[r].slopes;
     }
-    auto const& cells = (all.cells = g.reduce(all.cells, sum_op{})).of;
-    auto const& grey = (all.grey = g.reduce(all.grey, sum_op{})).of;
-    auto const& steep = (all.slopes = g.reduce(all.slopes, sum_op{})).of;
-    int const textured = cells[0], moved = cells[1], still = cells[2], known = cells[3];
+    four_sums const cells = g.reduce(all.cells, sum_op{});
+    four_sums const grey = g.reduce(all.grey, sum_op{});
+    four_sums const steep = g.reduce(all.slopes, sum_op{});
+    int const textured = cells.of[0], moved = cells.of[1];
+    int const still = cells.of[2], known = cells.of[3];
     // Most of the image moves: what does not is not of the scene. Less is enough where that was so
     // before. With a camera that hardly moves there is much between both.
     bool const first = v.begun[i] == 0;
@@ -268,12 +269,13 @@ struct judge_changes {
     fixed = g.reduce(fixed, sum_op{});
     if (g.rank() != 0) { return; }
     out.textured = textured;
-    out.moved = grey[2];
+    out.moved = grey.of[2];
     out.still = still;
-    out.same = !first && grey[3] == 0 ? 1 : 0;
-    out.sum = grey[0];
-    out.squares = grey[1];
-    out.streaked = image_slopes{steep[0], steep[1], steep[2], steep[3]}.is_streaked() ? 1 : 0;
+    out.same = !first && grey.of[3] == 0 ? 1 : 0;
+    out.sum = grey.of[0];
+    out.squares = grey.of[1];
+    image_slopes const slopes{steep.of[0], steep.of[1], steep.of[2], steep.of[3]};
+    out.streaked = slopes.is_streaked() ? 1 : 0;
     out.fixed = fixed;
     v.begun[i] = 1;
   }

@@ -16,75 +16,13 @@
 #include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/inertial_walk.hpp"
 #include "tests/support/odometry_answers.hpp"
 #include "tests/support/room.hpp"
 
 namespace inertial_odometry_test {
 
-using test::room::stereo_frame;
-using vector = ft::vec3<double>;
-using matrix = ft::mat3<double>;
-constexpr std::int64_t period = 50'000'000;
-constexpr int frame_count = 40;
-
-std::vector<stereo_frame> const& walk() {
-  static auto const frames = test::room::make_walk(test::room::rig(), 0, frame_count);
-  return frames;
-}
-/// The orientation of make_walk() at a time in frames.
-matrix orientation(double step) {
-  double const yaw = 0.012 * step, pitch = 0.006 * step;
-  double const c = std::cos(yaw), s = std::sin(yaw), cp = std::cos(pitch), sp = std::sin(pitch);
-  return matrix{{c, 0, s, 0, 1, 0, -s, 0, c}} * matrix{{1, 0, 0, 0, cp, -sp, 0, sp, cp}};
-}
-constexpr double seconds = 0.05;  // of a frame
-vector true_velocity() { return {0.02 / seconds, -0.01 / seconds, 0.05 / seconds}; }
-constexpr double gravity = 9.81;
-
-// A mount, and biases, that nothing can be right without.
-ft::rigid<double> mount() {
-  double const c = std::cos(0.4), s = std::sin(0.4);
-  return {{{c, -s, 0, s, c, 0, 0, 0, 1}}, {0.05, -0.02, 0.03}};
-}
-vector const gyro_bias{0.004, -0.006, 0.003};
-vector const accel_bias{0.02, -0.03, 0.01};
-
-ft::vec3<float> narrow(vector const& v) {
-  return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
-}
-vector axis_of(matrix const& dR) {  // of a small rotation
-  return {0.5 * (dR.m[7] - dR.m[5]), 0.5 * (dR.m[2] - dR.m[6]), 0.5 * (dR.m[3] - dR.m[1])};
-}
-
-/// The sample at a time in frames. The y axis of the walk's world points down.
-ft::imu_measurement sample_at(double step) {
-  ft::rigid<double> const T_bc = mount();
-  matrix const R_cb = T_bc.R.transposed();
-  vector const t_cb = T_bc.inverse().t;  // where the body is, in the camera's frame
-  auto const body = [&](double at) {     // its orientation and position in the world
-    matrix const R = orientation(at);
-    vector const p = R * t_cb;
-    return ft::rigid<double>{R * R_cb, {p.x + 0.02 * at, p.y - 0.01 * at, p.z + 0.05 * at}};
-  };
-  double const h = 1e-3;  // frames
-  auto const before = body(step - h), now = body(step), after = body(step + h);
-  vector const turn = axis_of(before.R.transposed() * after.R);
-  double const dt = h * seconds;
-  vector const moved = (after.t - now.t) - (now.t - before.t);
-  vector const force{moved.x / (dt * dt), moved.y / (dt * dt) - gravity, moved.z / (dt * dt)};
-  vector const rate{turn.x / (2 * dt), turn.y / (2 * dt), turn.z / (2 * dt)};
-  return {static_cast<std::int64_t>(std::llround((step + 1) * static_cast<double>(period))),
-          narrow(now.R.transposed() * force + accel_bias), narrow(rate + gyro_bias)};
-}
-
-ft::odometry_params params() {
-  auto p = test::room::odometry_params(4096);
-  p.imu.present = true;
-  p.imu.T_bc = mount();
-  p.imu.keyframe_period_s = 0.1;
-  p.imu.initialization.least_keyframes = 8;
-  return p;
-}
+using namespace test::inertial_walk;
 
 /// Tracks all frames, with 200 samples a second.
 template <typename Exec>
@@ -121,6 +59,17 @@ std::vector<ft::tracking> run(Exec const& exec, std::vector<int> const& blind = 
     f.right.assign(f.right.size(), 0);
   }
   return run_frames(exec, frames);
+}
+
+constexpr int first_frozen = 30, last_frozen = 35;
+/// The walk, of which frames have the images of the one before them.
+std::vector<stereo_frame> frozen_walk() {
+  auto frames = walk();
+  for (std::size_t i = first_frozen; i <= last_frozen; ++i) {
+    frames[i].left = frames[i - 1].left;
+    frames[i].right = frames[i - 1].right;
+  }
+  return frames;
 }
 
 /// @param ahead_ns of the IMU's clock, in its samples' times and as it is said to be
@@ -254,6 +203,54 @@ TYPED_TEST(inertial_odometry, bridges_black_images) {
     EXPECT_LT(error_of(t, i), 0.03) << i;
   }
   EXPECT_EQ(all.back().maps, 1);
+}
+
+// A driver that repeats its images: all of them agree that the camera stands still.
+TYPED_TEST(inertial_odometry, leads_where_images_repeat) {
+  TypeParam backend;
+  auto const all = run_frames(backend.exec, frozen_walk());
+  ASSERT_TRUE(all[first_frozen - 1].imu.known);
+  for (int i = first_frozen; i <= last_frozen; ++i) {
+    auto const& t = all[static_cast<std::size_t>(i)];
+    EXPECT_NE(t.state, ft::tracking_state::tracking) << i;
+    EXPECT_TRUE(t.warnings.has(ft::tracking_warning::images_repeat)) << i;
+    EXPECT_EQ(ft::explain(t).reason, ft::tracking_reason::images_repeat) << i;
+    EXPECT_FALSE(t.keyframe) << i;
+    EXPECT_TRUE(t.imu.predicted) << i;
+    EXPECT_LT(error_of(t, i), 0.02) << i;
+  }
+  for (int i = last_frozen + 1; i < frame_count; ++i) {
+    auto const& t = all[static_cast<std::size_t>(i)];
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << i;
+    EXPECT_LT(error_of(t, i), 0.02) << i;
+  }
+  EXPECT_EQ(all.back().maps, 1);
+  EXPECT_TRUE(all.back().imu.optimized);
+}
+
+// So do images of a camera that stands still, in which there is no noise here.
+TYPED_TEST(inertial_odometry, tracks_repeated_images_of_a_camera_at_rest) {
+  TypeParam backend;
+  auto p = params();
+  ft::odometry odo(backend.exec, test::room::rig(), p, 1, ft::inertial{});
+  auto const& f = walk().front();
+  int samples = 0;
+  bool known = false;
+  for (int i = 0; i < frame_count; ++i) {
+    for (; samples <= 4 * i; ++samples) {
+      auto s = sample_at(0);
+      s.time_ns = period + samples * period / 4;
+      s.gyro = narrow(gyro_bias);
+      s.accel = narrow(mount().R.transposed() * vector{0, -gravity, 0} + accel_bias);
+      odo.add_imu(s);
+    }
+    auto const t =
+        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << i;
+    EXPECT_LT(error_of(t, 0), 0.01) << i;
+    known = t.imu.known;
+  }
+  EXPECT_TRUE(known);
 }
 
 /// Images upside down have depths, and nothing in them is known.
@@ -488,10 +485,14 @@ TYPED_TEST(inertial_odometry, times_of_images_and_samples_may_be_any) {
 TEST(InertialOdometryParity, HostAndDeviceGiveTheSameBits) {
   if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   test::cuda_backend backend;
-  std::vector<std::vector<int>> const blindness{{}, {30, 31, 32, 33}};
-  for (auto const& blind : blindness) {
-    auto const host = run(ft::host_exec(), blind);
-    auto const device = run(backend.exec, blind);
+  for (int fault = 0; fault < 3; ++fault) {
+    auto const tracked = [&](auto const& exec) {
+      return fault == 0   ? run(exec)
+             : fault == 1 ? run(exec, {30, 31, 32, 33})
+                          : run_frames(exec, frozen_walk());
+    };
+    auto const host = tracked(ft::host_exec());
+    auto const device = tracked(backend.exec);
     for (std::size_t i = 0; i < host.size(); ++i) {
       EXPECT_EQ(std::memcmp(&host[i].T_world_camera, &device[i].T_world_camera,
                             sizeof host[i].T_world_camera),

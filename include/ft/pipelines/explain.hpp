@@ -30,6 +30,7 @@ enum class tracking_reason : int {
                         ///< calibration is another one's
   few_depths,           ///< too few keypoints have a depth to begin a map
   awaits_motion,        ///< one camera: the map begins when the camera has moved sideways
+  images_repeat,        ///< all images are those of the frame before while the IMU moves
   few_matches,          ///< too few keypoints agree with the map, wherever it was tried
 };
 
@@ -48,6 +49,7 @@ inline char const* name_of(tracking_reason reason) {
                                    "stereo_inconsistent",
                                    "few_depths",
                                    "awaits_motion",
+                                   "images_repeat",
                                    "few_matches"};
   constexpr int count = sizeof names / sizeof *names;
   static_assert(count == static_cast<int>(tracking_reason::few_matches) + 1, "one a reason");
@@ -194,6 +196,13 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
   if (few_depths) { return detail::explain_depths(t, rules, limits); }
   if (t.state == tracking_state::initialising && t.depths == depth_origin::motion) {
     return detail::explain_start(t);
+  }
+  tracking_evidence const& e = t.evidence;
+  if (t.imu.predicted && e.textured > 0 && e.same == e.images) {
+    return {tracking_reason::images_repeat, std::to_string(e.same) + " of " +
+                                                std::to_string(e.images) +
+                                                " images are those of the frame before while the "
+                                                "IMU moves: the pose is the IMU's alone"};
   }
   return {
       tracking_reason::few_matches,

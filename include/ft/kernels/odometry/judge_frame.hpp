@@ -198,7 +198,7 @@ private:
                                   tracking_rules const& rules, bool begins_maps,
                                   odometry_state_view const& state) {
     bool const had_map = t.has_map();
-    bool const usable = counts.with_depth >= rules.min_stereo_points;
+    bool const usable = is_usable(t, counts, rules);
     if (had_map) { drift(t, b, usable, rules, state); }
     if (!usable || (had_map && t.lost_with_features < rules.patience)) { return; }
     if (t.guided != 0) {
@@ -210,6 +210,10 @@ private:
       begin_map(t);
       state.order[b] = keyframe_order::begin_map;
     }
+  }
+  FT_HOST_DEVICE static bool is_usable(camera_track const& t, keypoint_counts const& counts,
+                                       tracking_rules const& rules) {
+    return t.frozen == 0 && counts.with_depth >= rules.min_stereo_points;
   }
   /// The camera goes on as it is thought to.
   FT_HOST_DEVICE static void drift(camera_track& t, int b, bool usable, tracking_rules const& rules,
@@ -226,7 +230,7 @@ private:
                                              tracking_rules const& rules,
                                              map_beginnings const& begins,
                                              odometry_state_view const& state) {
-    if (t.has_map()) { drift(t, b, counts.with_depth >= rules.min_stereo_points, rules, state); }
+    if (t.has_map()) { drift(t, b, is_usable(t, counts, rules), rules, state); }
     if (begins.report[b].outcome != start_outcome::started) { return; }
     begin_map(t);
     begins.order[b] = keyframe_order::begin_map;

@@ -8,6 +8,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/odometry/fixed_keypoints.hpp"
+#include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/types/odometry_params.hpp"
@@ -28,6 +29,8 @@ struct search_start {
   unsigned char const* fixed = nullptr;      ///< as in frames_in_map
   float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; these lose theirs
   int depth_cameras = 1;
+  image_changes const* changes = nullptr;  ///< [batch][images] of the frame's images
+  int images = 0;
 };
 
 namespace detail {
@@ -42,9 +45,11 @@ struct plan_camera_search {
                                  search_start<Rig> const& start) const {
     camera_track const& t = state.tracks[b];
     bool const adopts = start.proposals != nullptr && start.proposals[b].adopted != 0;
-    search_plan const plan = adopts && t.lost_frames == 0 ? search_plan::rejoin
-                             : adopts                     ? search_plan::recover
-                                                          : plan_of(t, rules, start.inliers[b]);
+    bool const frozen = is_frozen(g, b, t, frame, start, state.T_cw[b]);
+    search_plan const plan = frozen                         ? search_plan::nothing
+                             : adopts && t.lost_frames == 0 ? search_plan::rejoin
+                             : adopts                       ? search_plan::recover
+                                                            : plan_of(t, rules, start.inliers[b]);
     g.sync();
     if (plan != search_plan::follow) {
       int* const holder = frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers();
@@ -53,6 +58,7 @@ struct plan_camera_search {
     fixed_counts fixed;
     if (start.fixed != nullptr) { fixed = forget_fixed(g, b, frame, start, state.T_cw[b]); }
     if (g.rank() != 0) { return; }
+    state.tracks[b].frozen = frozen ? 1 : 0;
     state.tracks[b].facts.fixed = fixed.all;
     state.tracks[b].facts.dragged = fixed.dragged;
     // A frame without points was no attempt.
@@ -101,22 +107,53 @@ private:
     fixed_counts n;
     for (int i = g.rank(); i < with_depth; i += g.size()) {
       if (is_fixed[i] == 0 || !(depth[i] > 0)) { continue; }
-      int const c = i / frame.capacity();
-      keypoints_view const kp = frame.camera(b, c);
-      int const k = i - c * frame.capacity();
       ++n.all;
-      n.dragged +=
-          static_cast<int>(is_fixed[i] == fixed_for_long &&
-                           flows(start.rig, c, T_cw, last_T_cw, {kp.x(k), kp.y(k)}, depth[i]));
+      n.dragged += static_cast<int>(is_fixed[i] == fixed_for_long &&
+                                    flows(start.rig, frame, b, i, T_cw, last_T_cw, depth[i], 2.0f));
       depth[i] = -1.0f;
     }
     return {g.reduce(n.all, sum_op{}), g.reduce(n.dragged, sum_op{})};
   }
-  /// Whether what a camera sees at a pixel was 2 pixels from there before, if it is of the scene.
+  /// Whether all images are those of the frame before although the IMU says that most of what has a
+  /// depth has moved by a pixel since: a camera's driver repeats them. It stays so while they do.
+  /// @param last pose of the last frame
+  template <typename Group, typename Rig>
+  FT_HOST_DEVICE static bool is_frozen(Group g, int b, camera_track const& t,
+                                       frame_view const& frame, search_start<Rig> const& start,
+                                       rigid<double> const& last) {
+    if (t.guided == 0 || !all_same(start.changes + b * start.images, start.images)) {
+      return false;
+    }
+    if (t.frozen != 0) { return true; }
+    auto const T_cw = t.predicted.template cast<strict_float>();
+    auto const last_T_cw = last.template cast<strict_float>();
+    int const with_depth = start.depth_cameras * frame.capacity();
+    float const* const depth = start.depth + static_cast<std::ptrdiff_t>(b) * with_depth;
+    int all = 0, moved = 0;
+    for (int i = g.rank(); i < with_depth; i += g.size()) {
+      if (!(depth[i] > 0)) { continue; }
+      ++all;
+      moved += static_cast<int>(flows(start.rig, frame, b, i, T_cw, last_T_cw, depth[i], 1.0f));
+    }
+    return 2 * g.reduce(moved, sum_op{}) > g.reduce(all, sum_op{});
+  }
+  FT_HOST_DEVICE static bool all_same(image_changes const* of, int images) {
+    int textured = 0;
+    for (int i = 0; i < images; ++i) {
+      if (of[i].textured > 0 && of[i].same == 0) { return false; }
+      textured += of[i].textured;
+    }
+    return textured > 0;
+  }
+  /// Whether what a camera sees at keypoint i was `least` pixels from there before, if it is of the
+  /// scene.
   template <typename Rig>
-  FT_HOST_DEVICE static bool flows(Rig const& rig, int c, rigid<strict_float> const& T_cw,
-                                   rigid<strict_float> const& last_T_cw, vec2<float> at,
-                                   float depth) {
+  FT_HOST_DEVICE static bool flows(Rig const& rig, frame_view const& frame, int b, int i,
+                                   rigid<strict_float> const& T_cw,
+                                   rigid<strict_float> const& last_T_cw, float depth, float least) {
+    int const c = i / frame.capacity(), k = i - c * frame.capacity();
+    keypoints_view const kp = frame.camera(b, c);
+    vec2<float> const at{kp.x(k), kp.y(k)};
     auto const moved = [&](auto const& camera, rigid<strict_float> const& to,
                            rigid<strict_float> const& from) {
       auto const model = camera.template cast<strict_float>();
@@ -128,7 +165,7 @@ private:
       auto const before = model.project(from * point);
       float const x = ::fabsf((before.pixel.x - strict_float(at.x)).value);
       float const y = ::fabsf((before.pixel.y - strict_float(at.y)).value);
-      return before.valid && !(x + y < 2.0f);
+      return before.valid && !(x + y < least);
     };
     if constexpr (Rig::rectified) {
       return moved(rig.pair(c).camera, rig.to_camera(c, T_cw), rig.to_camera(c, last_T_cw));
@@ -149,7 +186,8 @@ private:
 /// Decides after the first pose of a frame how its search in the local map goes on. A camera with
 /// too few inliers, or that was lost before, is searched for near one of several poses with a wide
 /// radius, among the newest keyframes' points; one that adopts a proposal near that pose. Its
-/// keypoints release what they hold. Asynchronous on `exec`; allocates nothing; one launch.
+/// keypoints release what they hold. One whose images repeat while its IMU moves is as without
+/// keypoints, and goes on by its IMU. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void plan_searches(Exec const& exec, tracking_rules const& rules, frame_view const& frame,
                    odometry_state_view const& state, search_start<Rig> const& start) {

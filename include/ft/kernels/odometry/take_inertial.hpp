@@ -105,8 +105,8 @@ struct take_inertial_pose {
     inertial_track& t = v.tracks[b];
     inertial_pose_result const& result = v.poses.result[b];
     // A camera that was lost has been searched for with a wide radius: too many wrong matches.
-    bool const optimizes =
-        t.source != inertial_source::none && in.state.tracks[b].plan == search_plan::follow;
+    search_plan const plan = in.state.tracks[b].plan;
+    bool const optimizes = t.source != inertial_source::none && plan == search_plan::follow;
     bool const optimized = optimizes && result.status == inertial_pose_status::optimised;
     bool const is_last = g.rank() == g.size() - 1;
     pose T{};
@@ -121,7 +121,7 @@ struct take_inertial_pose {
       inliers += static_cast<int>(holds && seen.outlier[at + i] == 0);
     }
     inliers = g.reduce(inliers, sum_op{});
-    bool const many = seen.inliers[b] >= outvoting_matches;
+    bool const many = plan != search_plan::nothing && seen.inliers[b] >= outvoting_matches;
     // All threads decide, before one of them changes what they read.
     float const* const information =
         in.information == nullptr

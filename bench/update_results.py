@@ -436,27 +436,28 @@ def beside_cuvslam():
     return lines
 
 
-def wanted():
-    """Of wanted.json: each case as it was, as it is wanted, and as another file says it is. A row is as wanted where all its
-    conditions hold."""
-    files = {}
-    lines = ["| case | at 5c02885 | wanted | today | rows as wanted |", "|---|---|---|---:|---:|"]
+def wanted(file="wanted.json", before="at 5c02885", commits=False):
+    """Of such a file: each case as it was, as it is wanted, and as another file says it is. A row is as wanted where all its
+    conditions hold. Of a case with a `table` the newest one counts; `of` has names and values that pick its rows."""
+    lines = [f"| case | {before} | wanted | today | rows as wanted |" + (" commit |" if commits else ""),
+             "|---|---|---|---:|---:|" + ("---|" if commits else "")]
     section = ""
-    for case in load("wanted.json")["rows"]:
+    for case in load(file)["rows"]:
         if case["section"] != section:
             section = case["section"]
-            lines.append(f"| **{section}** | | | | |")
-        name = case["from"]
-        if name not in files:
-            records = json.loads((RESULTS / name).read_text())["records"]
-            files[name] = [row for record in records for row in record["tables"].get("rows", [])]
-        keys = [k for k in ("scenario", "recording", "every") if k in case]
-        rows = [r for r in files[name] if all(r.get(k) == case[k] for k in keys)]
+            lines.append(f"| **{section}** | | | | |" + (" |" if commits else ""))
+        if "table" in case:
+            record, rows = tables_of(case["from"], case["table"])[-1]
+        else:
+            records = json.loads((RESULTS / case["from"]).read_text())["records"]
+            record, rows = records[0], [row for r in records for row in r["tables"].get("rows", [])]
+        keys = {**{k: case[k] for k in ("scenario", "recording", "every") if k in case}, **dict(zip(case.get("of", [])[::2], case.get("of", [])[1::2]))}
+        rows = [r for r in rows if all(r.get(k) == v for k, v in keys.items())]
         values = [figure_of(r, case["figure"]) for r in rows]
         good = sum(all(holds(r, *limit) for limit in limits_of(case)) for r in rows)
         known = [v for v in values if v is not None]
         cells = [case["case"], case["before"], case["wanted"], said_of(known, case["figure"]), f"{good} of {len(rows)}"]
-        lines.append("| " + " | ".join(cells) + " |")
+        lines.append("| " + " | ".join(cells + [record["commit"]] * commits) + " |")
     return lines
 
 
@@ -474,9 +475,18 @@ def holds(row, figure, way, limit):
 
 
 def figure_of(row, name):
-    if name == "ft.keyframe_share":
-        return row["ft.keyframes"] / row["ft.frames"]
+    if name in PARTS:
+        part, whole = (row.get(k) for k in PARTS[name])
+        return part / whole if part is not None and whole else None
     return row.get(name)
+
+
+# Figures that are one of a row by another one.
+PARTS = {
+    "ft.keyframe_share": ("ft.keyframes", "ft.frames"),
+    "revisits_share": ("revisits_found", "trials"), "times_ceres": ("ceres_ms", "median_ms"),
+    "times_ceres_within": ("ceres_within_1e-6_ms", "median_ms"),
+}
 
 
 def said_of(values, figure):
@@ -484,13 +494,17 @@ def said_of(values, figure):
     if not values:
         return "not measured"
     length = figure.endswith("_m")
-    scale, unit = (1000, " mm") if length else (100, " %") if figure.endswith("share") or figure in SHARES else (1, "")
-    digits = 0 if figure == "silent" else 1 if unit else 2
+    scale, unit = (1000, " mm") if length else (100, " %") if "share" in figure or figure in SHARES else (1, "")
+    unit = unit or next((f" {u}" for u in ("mm", "ms") if figure.endswith(f"_{u}")), "")
+    digits = 0 if figure in COUNTS else 1 if unit or figure in PARTS else 2
+    if figure == "cost_above_ceres":
+        return f"{statistics.median(values):.1e}"
     text = [f"{scale * v:.{digits}f}" for v in (statistics.median(values), min(values), max(values))]
     return f"{text[0]}{unit}" + (f" ({text[1]} to {text[2]})" if text[1] != text[2] else "")
 
 
 SHARES = ("contained", "imu_used", "jumps_right")
+COUNTS = ("silent", "ft.keyframes", "wrong_loops", "found_in_3", "within_2cm_1deg", "wrong")
 
 
 def median_mm(lengths):
@@ -508,7 +522,7 @@ TABLES = {
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
         "speed asked": speed_asked, "descriptors": descriptors,
-        "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,
+        "loops wanted": lambda: wanted("wanted_loops.json", "before, or elsewhere", True), "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,
     },
     "bench/results/README.md": {
         "frames": frames,

@@ -50,7 +50,8 @@ struct frame_record {
   std::string why;     ///< the same as a sentence
   std::vector<std::string> imu_warnings;  ///< sentences about the samples of the IMU until then
   std::vector<std::pair<std::string, std::string>> warnings;  ///< names and sentences
-  int map_id = 0;  ///< of the map that the pose is in, from 1 on; 0 = none
+  int map_id = 0;          ///< of the map that the pose is in, from 1 on; 0 = none
+  bool map_begun = false;  ///< the frame begins a map
 };
 
 /// A frame drawn in the report.

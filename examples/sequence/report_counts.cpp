@@ -28,11 +28,12 @@ std::string counts_section(run_report const& r) {
   std::vector<bucket> const buckets = buckets_of(r.records, most_points);
   bool const merged = buckets.size() < r.records.size();
   int largest = 1;
-  bool lost = false, keyframes = false;
+  bool lost = false, keyframes = false, maps = false;
   for (frame_record const& record : r.records) {
     for (series const& s : all) { largest = std::max(largest, record.*s.field); }
     lost = lost || !record.tracked;
     keyframes = keyframes || record.keyframe;
+    maps = maps || record.map_begun;
   }
   chart c;
   c.height = 280;
@@ -49,32 +50,17 @@ std::string counts_section(run_report const& r) {
   for (series const& s : all) { out += legend_entry(s.style, mark::line, s.name); }
   if (lost) { out += legend_entry("lost", mark::area, "lost"); }
   if (keyframes) { out += legend_entry("key-tick", mark::tick, "keyframe"); }
+  if (maps) { out += legend_entry("level", mark::tick, "a map begins"); }
   out += "</div>\n" + c.open(title) + c.axes("frame", "count", true, true);
 
   double const floor_y = c.top + c.inner_height();
-  std::string lost_data, key_data;
-  for (std::size_t i = 0; i < r.records.size(); ++i) {
-    double const x = r.records[i].index;
-    if (r.records[i].keyframe) {
-      key_data += 'M' + coordinate(c.px(x)) + ' ' + coordinate(floor_y) + "v-7";
-    }
-    if (r.records[i].tracked) { continue; }
-    std::size_t last = i;
-    while (last + 1 < r.records.size() && !r.records[last + 1].tracked) {
-      ++last;
-      if (r.records[last].keyframe) {
-        key_data +=
-            'M' + coordinate(c.px(r.records[last].index)) + ' ' + coordinate(floor_y) + "v-7";
-      }
-    }
-    double const from = std::max(c.px(x - 0.5), c.left);
-    double const to = std::min(c.px(r.records[last].index + 0.5), c.width - c.right);
-    lost_data += 'M' + coordinate(from) + ' ' + coordinate(c.top) + 'H' +
-                 coordinate(std::max(to, from + 1)) + 'V' + coordinate(floor_y) + 'H' +
-                 coordinate(from) + 'Z';
-    i = last;
+  std::string key_data;
+  for (frame_record const& record : r.records) {
+    if (!record.keyframe) { continue; }
+    key_data += 'M' + coordinate(c.px(record.index)) + ' ' + coordinate(floor_y) + "v-7";
   }
-  out += path("lost", lost_data);
+  out += path("lost", spans(c, r.records, c.top, floor_y,
+                            [](frame_record const& record) { return !record.tracked; }));
   for (series const& s : all) {
     pen line;
     std::string upper, lower;
@@ -101,8 +87,8 @@ std::string counts_section(run_report const& r) {
     }
     out += path(s.style, line.take());
   }
-  out += path("key-tick", key_data);
-  return out + chart::close() + "</section>\n";
+  out += path("key-tick", key_data) + map_borders(c, r.records);
+  return out + chart::close() + warning_strips(r) + "</section>\n";
 }
 
 }  // namespace seq::detail

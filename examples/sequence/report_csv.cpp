@@ -96,9 +96,9 @@ void write_times_csv(std::string const& path, run_report const& report) {
     if (r.images_to_pose_ms >= 0) { text += detail::fixed(r.images_to_pose_ms, 6); }
     text += ',' + csv_field(r.reason) + ',' + std::to_string(r.map_id) + ',';
     std::string names;
-    auto const add = [&](std::string const& name) { names += (names.empty() ? "" : " ") + name; };
-    for (auto const& [name, said] : r.warnings) { add(name); }
-    if (!r.imu_warnings.empty()) { add("imu"); }
+    for (std::string const& name : detail::warning_names(r)) {
+      names += (names.empty() ? "" : " ") + name;
+    }
     text += csv_field(names) + '\n';
   }
   detail::write_text(path, text);

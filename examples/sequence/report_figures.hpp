@@ -55,6 +55,9 @@ std::optional<imu_figures> imu_figures_of(run_report const& report);
 /// Lines of the printed summary; empty without an IMU.
 std::string imu_lines(run_report const& report);
 
+/// Names of all that a frame is warned of; "imu" stands for frame_record::imu_warnings.
+std::vector<std::string> warning_names(frame_record const& r);
+
 /// A command that gives one of the figures, in the folder with trajectory.txt and groundtruth.txt.
 struct evo_command {
   std::string figure;

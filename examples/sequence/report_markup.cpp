@@ -115,28 +115,31 @@ std::string path(std::string const& style, std::string const& data) {
   return "<path class=\"" + style + "\" d=\"" + data + "\"/>\n";
 }
 
-std::string chart::axes(std::string const& x_title, std::string const& y_title, bool whole_x,
-                        bool whole_y) const {
+std::string chart::x_axis(std::string const& title, bool whole) const {
   std::string grid, labels;
   double const floor_y = top + inner_height();
   double step = nice_step(x.span(), inner_width() / 95);
-  if (whole_x) { step = std::max(step, 1.0); }
+  if (whole) { step = std::max(step, 1.0); }
   for (double const t : ticks(x, step)) {
     grid += 'M' + coordinate(px(t)) + ' ' + coordinate(top) + 'V' + coordinate(floor_y);
     labels += text(px(t), floor_y + 17, "tick mid", tick_text(t, step));
   }
-  step = nice_step(y.span(), inner_height() / 36);
+  return path("grid", grid) + labels +
+         text(left + inner_width() / 2, height - 6, "axis mid", title);
+}
+
+std::string chart::axes(std::string const& x_title, std::string const& y_title, bool whole_x,
+                        bool whole_y) const {
+  std::string grid, labels;
+  double step = nice_step(y.span(), inner_height() / 36);
   if (whole_y) { step = std::max(step, 1.0); }
   for (double const t : ticks(y, step)) {
     grid += 'M' + coordinate(left) + ' ' + coordinate(py(t)) + 'H' + coordinate(width - right);
     labels += text(left - 8, py(t) + 4, "tick end", tick_text(t, step));
   }
-  std::string out = path("grid", grid) + labels;
-  out += text(left + inner_width() / 2, height - 6, "axis mid", x_title);
-  double const middle = top + inner_height() / 2;
-  out += "<text class=\"axis mid\" transform=\"translate(14 " + coordinate(middle) +
-         ") rotate(-90)\">" + escape(y_title) + "</text>\n";
-  return out;
+  return x_axis(x_title, whole_x) + path("grid", grid) + labels +
+         "<text class=\"axis mid\" transform=\"translate(14 " +
+         coordinate(top + inner_height() / 2) + ") rotate(-90)\">" + escape(y_title) + "</text>\n";
 }
 
 std::string legend_entry(std::string const& style, mark shape, std::string const& words) {

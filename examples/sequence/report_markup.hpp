@@ -61,6 +61,8 @@ public:
   /// Grid lines, tick labels and axis titles. @param whole_x @param whole_y ticks at integers only
   std::string axes(std::string const& x_title, std::string const& y_title, bool whole_x,
                    bool whole_y) const;
+  /// Of these, what belongs to x.
+  std::string x_axis(std::string const& title, bool whole) const;
 
   static std::string text(double at_x, double at_y, char const* style, std::string const& content) {
     return std::string("<text class=\"") + style + '"' + attribute("x", at_x) +
@@ -126,5 +128,37 @@ std::vector<bucket> buckets_of(std::vector<frame_record> const& records, std::si
 constexpr std::size_t most_points = 900;
 
 range index_range(std::vector<frame_record> const& records);
+
+/// Path data of a bar over each run of frames that `holds` accepts, from half a frame before its
+/// first one to half a frame after its last; at least one unit wide. Bars that are less than half a
+/// unit apart become one.
+/// @param c with index_range() as its x @param top @param floor of the bars
+template <typename Condition>
+std::string spans(chart const& c, std::vector<frame_record> const& records, double top,
+                  double floor, Condition const& holds) {
+  std::string data;
+  double from = 0, to = -1;
+  auto const draw = [&] {
+    if (to < from) { return; }
+    data += 'M' + coordinate(from) + ' ' + coordinate(top) + 'H' + coordinate(to) + 'V' +
+            coordinate(floor) + 'H' + coordinate(from) + 'Z';
+  };
+  for (std::size_t i = 0; i < records.size(); ++i) {
+    if (!holds(records[i])) { continue; }
+    double const begin = std::max(c.px(records[i].index - 0.5), c.left);
+    bool const goes_on = to >= from && (begin < to + 0.5 || holds(records[i - 1]));
+    if (!goes_on) {
+      draw();
+      from = begin;
+    }
+    to = std::max(std::min(c.px(records[i].index + 0.5), c.width - c.right), from + 1);
+  }
+  draw();
+  return data;
+}
+
+/// A line where each map begins, over all of a chart with index_range() as its x; one a unit at
+/// most.
+std::string map_borders(chart const& c, std::vector<frame_record> const& records);
 
 }  // namespace seq::detail

@@ -21,7 +21,10 @@ std::string error_section(run_report const& r, run_figures const& f);
 std::string time_section(run_report const& r, run_figures const& f);
 /// @pre as time_section
 std::string stage_table(run_figures const& f);
+/// With the warnings of frames below, on the same axis.
 std::string counts_section(run_report const& r);
+/// A strip for each name of a warning that frames have. Empty without any.
+std::string warning_strips(run_report const& r);
 /// Velocity and biases over time. Empty without an IMU.
 std::string imu_section(run_report const& r);
 /// Pictures with keypoints; empty without samples. Where there are many keypoints, some of them.

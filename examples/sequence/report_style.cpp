@@ -111,6 +111,7 @@ char const* const charts = R"css(.sum { fill: var(--ink); } .track { fill: var(-
 .c2.band { fill: var(--count2); }
 .c3.band { fill: var(--accent); }
 .lost { fill: var(--bad); opacity: .22; }
+.warned { fill: var(--bad); }
 .key-tick { stroke: var(--ink); stroke-width: 1; fill: none; opacity: .7; }
 table { border-collapse: collapse; width: 100%; font-size: 14px; }
 .figures th { color: var(--soft); font-weight: 500; font-size: 12.5px; }

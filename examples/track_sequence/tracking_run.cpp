@@ -253,6 +253,7 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.imu_warnings = outcome.imu_warnings;
   record.warnings = outcome.warnings;
   record.map_id = found.map_id;
+  record.map_begun = found.map_begun;
   if (outcome.tracked) {
     for (int row = 0; row < 6; ++row) {  // the upper triangle
       double const* const begin = found.covariance + 6 * row;

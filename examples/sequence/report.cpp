@@ -280,6 +280,15 @@ json imu_of(run_report const& report) {
   out["known_from"] = imu->known_from ? json(*imu->known_from) : json(nullptr);
   out["optimized"] = imu->optimized;
   out["bridged"] = imu->bridged;
+  json states = json::object();
+  for (detail::imu_figures::state const& s : imu->states) {
+    if (s.reason.empty()) {
+      states[s.name] = s.frames;
+    } else {
+      states[s.name][s.reason] = s.frames;
+    }
+  }
+  out["states"] = states;
   if (imu->known_from) {
     out["velocity"] = vector_of(imu->last.velocity);
     out["gyro_bias"] = vector_of(imu->last.gyro_bias);

@@ -52,6 +52,11 @@ struct frame_record {
   std::vector<std::pair<std::string, std::string>> warnings;  ///< names and sentences
   int map_id = 0;          ///< of the map that the pose is in, from 1 on; 0 = none
   bool map_begun = false;  ///< the frame begins a map
+  std::string imu_state;   ///< initialising, known or used; empty without an IMU
+  std::string imu_reason;  ///< why it is not used, a word
+  std::string imu_why;     ///< the same as a sentence; empty if it is used
+  /// By which the IMU's clock is ahead of that of the images, as found, seconds.
+  std::optional<double> imu_clock_offset_s;
 };
 
 /// A frame drawn in the report.
@@ -129,11 +134,12 @@ void print_summary(std::ostream& out, run_report const& report);
 /// is known or there is no ground truth), scale_to_truth (what would fit a path of known scale;
 /// else null), without_scale (tracked frames whose scale was not known yet: not in the path),
 /// keyframes, map_points, backend, stages = name -> mean_ms std_ms p50_ms p99_ms max_ms, imu (null
-/// without one), warnings, images_to_pose = mean_ms ... from handing a frame's images over to
-/// having its pose, prefetch = frames given ahead (then fps is null: the stages leave their
-/// keypoints and stereo out), reasons = name -> frames that were not tracked or are doubted,
-/// ate_rotation_missing, stopped_at (null for a whole run), evo = figure -> command, loops =
-/// closed, corrections, online_ate_rmse_m (only with --loops), and the rest.
+/// without one; its states = initialising, known, used -> frames, or reason -> frames), warnings,
+/// images_to_pose = mean_ms ... from handing a frame's images over to having its pose, prefetch =
+/// frames given ahead (then fps is null: the stages leave their keypoints and stereo out), reasons
+/// = name -> frames that were not tracked or are doubted, ate_rotation_missing, stopped_at (null
+/// for a whole run), evo = figure -> command, loops = closed, corrections, online_ate_rmse_m (only
+/// with --loops), and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

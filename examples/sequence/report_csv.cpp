@@ -43,6 +43,11 @@ std::string imu_columns(frame_record const& r) {
   return text;
 }
 
+std::string imu_state_columns(frame_record const& r) {
+  std::string const text = ',' + csv_field(r.imu_state) + ',' + csv_field(r.imu_reason) + ',';
+  return r.imu_clock_offset_s ? text + detail::fixed(*r.imu_clock_offset_s, 6) : text;
+}
+
 constexpr std::size_t covariance_columns = 21;  // the upper triangle of 6 x 6
 
 std::string covariance_heads() {
@@ -78,7 +83,8 @@ void write_times_csv(std::string const& path, run_report const& report) {
   bool const covariances = std::any_of(report.records.begin(), report.records.end(),
                                        [](frame_record const& r) { return !r.covariance.empty(); });
   if (covariances) { text += covariance_heads(); }
-  text += ",images_to_pose_ms,reason,map_id,warnings\n";
+  if (report.with_imu) { text += ",imu_state,imu_reason,imu_clock_offset_s"; }
+  text += ",images_to_pose_ms,reason,map_id,map_begun,warnings\n";
   for (frame_record const& r : report.records) {
     text += std::to_string(r.index) + ',' + seconds(r.time_ns);
     text += r.tracked ? ",1" : ",0";
@@ -92,9 +98,11 @@ void write_times_csv(std::string const& path, run_report const& report) {
     }
     if (report.with_imu) { text += imu_columns(r); }
     if (covariances) { text += covariance_of(r); }
+    if (report.with_imu) { text += imu_state_columns(r); }
     text += ',';
     if (r.images_to_pose_ms >= 0) { text += detail::fixed(r.images_to_pose_ms, 6); }
-    text += ',' + csv_field(r.reason) + ',' + std::to_string(r.map_id) + ',';
+    text +=
+        ',' + csv_field(r.reason) + ',' + std::to_string(r.map_id) + (r.map_begun ? ",1," : ",0,");
     std::string names;
     for (std::string const& name : detail::warning_names(r)) {
       names += (names.empty() ? "" : " ") + name;

@@ -3,6 +3,7 @@
 /// report.cpp and report_html.cpp only.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -49,9 +50,18 @@ struct imu_figures {
   int optimized = 0;              ///< frames whose pose was optimised with the IMU
   int bridged = 0;  ///< frames that were not found, whose pose the IMU alone predicted
   imu_record last;  ///< of the last frame with known values
+  struct state {
+    std::string name, reason, why;  ///< as frame_record::imu_state, imu_reason, imu_why
+    int first = 0;                  ///< index of the first frame with it
+    int frames = 0;
+  };
+  std::vector<state> states;  ///< in the order of their first frames
+  std::string last_state, last_why;
 };
 /// Nothing without an IMU.
 std::optional<imu_figures> imu_figures_of(run_report const& report);
+/// A sentence for each state of the IMU and its reason: in how many frames, and from which one on.
+std::vector<std::string> imu_state_sentences(imu_figures const& f, std::size_t frames);
 /// Lines of the printed summary; empty without an IMU.
 std::string imu_lines(run_report const& report);
 

@@ -97,6 +97,7 @@ frame_outcome timed_odometry::timed(Track const& track) {
   out.tracked =
       out.found.state == ft::tracking_state::tracking && why.reason != ft::tracking_reason::new_map;
   out.imu_warnings = ft::imu_warnings(out.found.imu, params.imu);
+  if (params.imu.present) { out.imu = ft::explain_imu(out.found.imu, params.imu); }
   for (ft::tracking_notice const& said : ft::warnings_of(out.found, params)) {
     // These have sentences of their own.
     if (said.warning == ft::tracking_warning::imu) { continue; }

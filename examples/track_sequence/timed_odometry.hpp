@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <optional>
 #include <ostream>
 #include <string>
 #include <utility>
@@ -11,6 +12,7 @@
 
 #include "examples/track_sequence/stage_sums.hpp"
 #include "ft/any_odometry.hpp"
+#include "ft/pipelines/explain.hpp"
 
 namespace app {
 
@@ -25,8 +27,9 @@ struct seen_keypoint {
 
 struct frame_outcome {
   ft::tracking found;
-  bool tracked = false;                   ///< has a pose that is no guess
-  std::vector<std::string> imu_warnings;  ///< what is likely wrong with its samples
+  bool tracked = false;                    ///< has a pose that is no guess
+  std::vector<std::string> imu_warnings;   ///< what is likely wrong with its samples
+  std::optional<ft::imu_explanation> imu;  ///< whether it is used; nothing without one
   std::vector<double> stage_ms;  ///< one per stage_names(), of measure_stages, else the last alone
   double images_to_pose_ms = 0;  ///< from handing the images over to having the pose
   std::string reason;            ///< why it is not tracked, or to be doubted; empty = neither

@@ -254,6 +254,12 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
   record.warnings = outcome.warnings;
   record.map_id = found.map_id;
   record.map_begun = found.map_begun;
+  if (outcome.imu) {
+    record.imu_state = ft::name_of(outcome.imu->state);
+    if (outcome.imu->state != ft::imu_state::used) { record.imu_reason = outcome.imu->reason; }
+    record.imu_why = outcome.imu->text;
+    if (found.imu.clock.known) { record.imu_clock_offset_s = found.imu.clock.offset_s; }
+  }
   if (outcome.tracked) {
     for (int row = 0; row < 6; ++row) {  // the upper triangle
       double const* const begin = found.covariance + 6 * row;

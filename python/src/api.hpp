@@ -170,6 +170,7 @@ struct tracking {
   ft::tracking_explanation why;
   std::vector<std::string> imu_warnings;
   std::vector<ft::tracking_notice> warnings;
+  std::optional<ft::imu_explanation> imu;  ///< nothing without an IMU
 };
 /// Empty without a reason.
 inline std::string reason_of(tracking const& t) {

@@ -354,7 +354,10 @@ private:
     for (int b = 0; b < batch_; ++b) {
       all.push_back({t[b], ft::explain(t[b], inner_->params().rules),
                      ft::imu_warnings(t[b].imu, inner_->params().imu),
-                     ft::warnings_of(t[b], inner_->params())});
+                     ft::warnings_of(t[b], inner_->params()),
+                     inner_->params().imu.present
+                         ? std::optional(ft::explain_imu(t[b].imu, inner_->params().imu))
+                         : std::nullopt});
     }
     return all;
   }
@@ -516,6 +519,9 @@ void bind_tracking(nb::module_& m) {
           "map_id", [](tracking const& t) { return t.of.map_id; },
           "number of the map that the pose is in, from 1 on; 0 without a map")
       .def_prop_ro(
+          "map_begun", [](tracking const& t) { return t.of.map_begun; },
+          "whether the frame begins a map; if `maps` is above 1, at a guessed place")
+      .def_prop_ro(
           "warnings",
           [](tracking const& t) {
             nb::dict all;
@@ -563,6 +569,36 @@ void bind_tracking(nb::module_& m) {
       .def_prop_ro(
           "imu_known", [](tracking const& t) { return t.of.imu.known; },
           "gravity, velocity and biases are known")
+      .def_prop_ro(
+          "imu_state",
+          [](tracking const& t) { return std::string(t.imu ? ft::name_of(t.imu->state) : ""); },
+          "initialising (imu_known is False), known (the pose was not optimised with the IMU) or "
+          "used (it was); empty without an IMU")
+      .def_prop_ro(
+          "imu_reason",
+          [](tracking const& t) {
+            bool const none = !t.imu || t.imu->state == ft::imu_state::used;
+            return std::string(none ? "" : t.imu->reason);
+          },
+          "why the IMU is not used: imu_samples if they are not usable, else imu_estimate, or "
+          "'no_pose'; empty if it is used")
+      .def_prop_ro(
+          "imu_explanation", [](tracking const& t) { return t.imu ? t.imu->text : std::string(); },
+          "the same as a sentence")
+      .def_prop_ro(
+          "imu_estimate",
+          [](tracking const& t) { return std::string(ft::name_of(t.of.imu.estimate)); },
+          "what the last estimate of gravity, velocity and biases came to, a word such as "
+          "'few_keyframes' or 'little_motion', see ft::initialization_status")
+      .def_prop_ro(
+          "imu_samples",
+          [](tracking const& t) { return std::string(ft::name_of(t.of.imu.samples)); },
+          "what the samples since the last frame are, a word such as 'integrated', 'no_samples' or "
+          "'contradicted', see ft::integration_status")
+      .def_prop_ro(
+          "imu_unused_s", [](tracking const& t) { return t.of.imu.unused_s; },
+          "time of tracking in which the samples could have been used and were not, less that in "
+          "which they were since, seconds; 0 without an IMU")
       .def_prop_ro(
           "imu_optimized", [](tracking const& t) { return t.of.imu.optimized; },
           "the pose was optimised with the IMU")

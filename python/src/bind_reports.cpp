@@ -48,6 +48,13 @@ seq::frame_record record_of(nb::handle given) {
     r.warnings.emplace_back(ft::name_of(notice.warning), notice.text);
   }
   r.map_id = t.map_id;
+  r.map_begun = t.map_begun;
+  if (said.imu) {
+    r.imu_state = ft::name_of(said.imu->state);
+    if (said.imu->state != ft::imu_state::used) { r.imu_reason = said.imu->reason; }
+    r.imu_why = said.imu->text;
+    if (t.imu.clock.known) { r.imu_clock_offset_s = t.imu.clock.offset_s; }
+  }
   for (int row = 0; r.tracked && row < 6; ++row) {  // the upper triangle
     double const* const begin = t.covariance + 6 * row;
     r.covariance.insert(r.covariance.end(), begin + row, begin + 6);

@@ -217,6 +217,24 @@ def test_what_is_wrong_with_samples_of_an_imu_is_said(walk):
     assert none.imu_warnings == [] and none.imu_rate_hz == 0
 
 
+def test_the_state_of_an_imu_has_a_reason(walk):
+    odometry = walk.odometry(imu=ft.Imu())
+    first = odometry.track(*walk.frame(0))
+    assert first.map_begun and first.maps == 1
+    assert (first.imu_state, first.imu_reason, first.imu_samples) == ("initialising", "no_samples", "no_samples")
+    assert first.imu_explanation == "there are no samples since the frame before"
+    for i in range(1, 3):
+        for k in range(10):
+            odometry.add_imu(50_000_000 * i - 45_000_000 + 5_000_000 * k, (0, -9.81, 0), (0, 0, 0))
+        pose = odometry.track(*walk.frame(i))
+    assert not pose.map_begun
+    assert (pose.imu_state, pose.imu_reason, pose.imu_samples) == ("initialising", "few_keyframes", "integrated")
+    assert pose.imu_estimate == "few_keyframes" and "keyframes in a row" in pose.imu_explanation
+    assert 0 <= pose.imu_unused_s <= 0.1 + 1e-9
+    none = walk.odometry().track(*walk.frame(0))
+    assert (none.imu_state, none.imu_reason, none.imu_explanation, none.imu_unused_s) == ("", "", "", 0)
+
+
 def test_mistakes_are_named_and_change_nothing(walk):
     odometry = walk.odometry()
     left, right, t = walk.frame(0)

@@ -90,7 +90,7 @@ TEST_F(report_inertial, the_table_has_a_column_for_each_value) {
 
 TEST_F(report_inertial, the_page_draws_velocity_and_biases) {
   std::string const page = written(seq::write_html, run_of(60));
-  EXPECT_NE(page.find("Known from frame 5; 50 poses optimised with it, 5 frames"),
+  EXPECT_NE(page.find("Gravity and biases: known from frame 5, 50 poses optimised with it, 5 "),
             std::string::npos);
   for (char const* title : {"Velocity in the world", "Bias of the gyroscope", "Bias of the acc"}) {
     EXPECT_NE(page.find(title), std::string::npos) << title;
@@ -100,6 +100,61 @@ TEST_F(report_inertial, the_page_draws_velocity_and_biases) {
   seq::run_report without = run_of(10);
   without.with_imu = false;
   EXPECT_EQ(written(seq::write_html, without).find("gyroscope"), std::string::npos);
+}
+
+// Frames 0 to 4 wait for keyframes, 20 to 24 have no samples.
+seq::run_report with_states(int frames) {
+  seq::run_report r = run_of(frames);
+  for (auto& f : r.records) {
+    f.imu_state = f.index < 5 ? "initialising" : f.tracked ? "used" : "known";
+    if (f.imu_state == "used") { continue; }
+    f.imu_reason = f.index < 5 ? "few_keyframes" : "no_samples";
+    f.imu_why = f.index < 5 ? "8 keyframes are <asked> for" : "there are none";
+  }
+  return r;
+}
+
+TEST_F(report_inertial, all_outputs_have_the_state_and_its_reason) {
+  seq::run_report r = with_states(40);
+  r.records[30].imu_clock_offset_s = -0.0125;
+  std::ostringstream out;
+  seq::print_summary(out, r);
+  std::string const page = written(seq::write_html, r);
+  for (char const* said : {"used in 30 of 40 frames, first in frame 5\n",
+                           "known (no_samples) in 5 of 40 frames, first in frame 20: there are"}) {
+    EXPECT_NE(out.str().find(std::string("  IMU state         ") + said), std::string::npos)
+        << out.str();
+  }
+  EXPECT_NE(page.find("<li>initialising (few_keyframes) in 5 of 40 frames, first in frame 0: 8 "
+                      "keyframes are &lt;asked&gt; for</li>"),
+            std::string::npos);
+  EXPECT_EQ(
+      nlohmann::json::parse(written(seq::write_summary_json, r))["imu"]["states"],
+      (nlohmann::json{
+          {"initialising", {{"few_keyframes", 5}}}, {"used", 30}, {"known", {{"no_samples", 5}}}}));
+  std::string const table = written(seq::write_times_csv, r);
+  EXPECT_NE(table.find(",imu_state,imu_reason,imu_clock_offset_s,images_to_pose_ms"),
+            std::string::npos);
+  EXPECT_NE(table.find(",initialising,few_keyframes,"), std::string::npos);
+  EXPECT_NE(table.find(",used,,-0.012500,"), std::string::npos);
+  EXPECT_NE(table.find(",used,,,"), std::string::npos);
+}
+
+TEST_F(report_inertial, an_imu_that_was_never_known_has_a_reason) {
+  seq::run_report const r = with_states(4);
+  std::ostringstream out;
+  seq::print_summary(out, r);
+  EXPECT_NE(out.str().find("  IMU               never known; at the end initialising: 8 keyframes"),
+            std::string::npos)
+      << out.str();
+  EXPECT_NE(written(seq::write_html, r).find("never known; at the end initialising: 8 keyframes"),
+            std::string::npos);
+  // Known before: the end says why it is no longer used.
+  std::ostringstream later;
+  seq::print_summary(later, with_states(23));
+  EXPECT_NE(later.str().find("frames without a match bridged; at the end known: there are none"),
+            std::string::npos)
+      << later.str();
 }
 
 TEST_F(report_inertial, the_printed_summary_has_the_biases) {

@@ -23,6 +23,7 @@ TEST_F(report, csv_has_a_row_for_each_frame) {
   r.records[0].images_to_pose_ms = 5;
   r.records[1].reason = "dark";
   r.records[1].map_id = 2;
+  r.records[1].map_begun = true;
   r.records[1].warnings = {{"dark", "nearly black"}, {"two_motions", "things move"}};
   r.records[1].imu_warnings = {"samples come too late"};
   seq::write_times_csv(file("times.csv"), r);
@@ -31,13 +32,15 @@ TEST_F(report, csv_has_a_row_for_each_frame) {
   EXPECT_EQ(lines[0],
             "index,time_s,tracked,keyframe,keypoints,stereo_matches,inliers,local_points,fast_ms,"
             "match_ms,"
-            "total_ms,images_to_pose_ms,reason,map_id,warnings");
-  EXPECT_EQ(lines[1],
-            "0,1403636579.763555584,1,1,1000,600,200,800,1.000000,2.000000,4.000000,5.000000,,0,");
-  EXPECT_EQ(lines[2],
-            "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark,2,dark two_motions imu");
+            "total_ms,images_to_pose_ms,reason,map_id,map_begun,warnings");
+  EXPECT_EQ(
+      lines[1],
+      "0,1403636579.763555584,1,1,1000,600,200,800,1.000000,2.000000,4.000000,5.000000,,0,0,");
+  EXPECT_EQ(
+      lines[2],
+      "1,1403636579.813555584,1,0,1000,600,201,800,1.500000,,,,dark,2,1,dark two_motions imu");
   for (auto const& line : lines) {
-    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 14) << line;
+    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 15) << line;
   }
 }
 
@@ -54,7 +57,7 @@ TEST_F(report, csv_has_the_covariances_that_are_known) {
   EXPECT_NE(lines[1].find(",0.5000019,0.500002,"), std::string::npos);
   EXPECT_NE(lines[2].find(std::string(21, ',')), std::string::npos);
   for (auto const& line : lines) {
-    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 14 + 21) << line;
+    EXPECT_EQ(std::count(line.begin(), line.end(), ','), 15 + 21) << line;
   }
 }
 

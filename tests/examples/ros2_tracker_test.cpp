@@ -155,6 +155,17 @@ TEST(Health, SaysWhatWasSinceTheLastReport) {
   EXPECT_EQ(value(fine, "frames"), "2");
   EXPECT_EQ(std::stod(value(fine, "milliseconds a frame")), 5);
   EXPECT_EQ(value(fine, "inliers"), "120");
+  EXPECT_EQ(value(fine, "maps begun"), "0");
+  EXPECT_EQ(value(fine, "IMU"), "");  // there is none
+  estimate begun = good;
+  begun.map_begun = true;
+  begun.imu_state = "initialising: few keyframes";
+  counter.take(begun, 5);
+  begun.map_begun = false;
+  counter.take(begun, 5);
+  auto const again = counter.report();
+  EXPECT_EQ(value(again, "maps begun"), "1");
+  EXPECT_EQ(value(again, "IMU"), "initialising: few keyframes");
   estimate doubtful = good;
   doubtful.warning = "blurred: why";
   counter.take(doubtful, 5);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Why a frame was not tracked, or why its pose is to be doubted, in words.
+/// @file Why a frame was not tracked, or why its pose is to be doubted, in words; what the state of
+/// its IMU is, and why.
 #pragma once
 
 #include <cstdio>
@@ -212,6 +213,113 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
                              : rules.min_inliers) +
           " are asked for, and " + std::to_string(t.local_points) +
           " points of the map were searched"};
+}
+
+/// Whether an IMU is used. From each of them there is a way to each other one.
+enum class imu_state : int {
+  initialising,  ///< gravity, velocity and biases are not known
+  known,         ///< they are; the frame's pose was not optimised with the IMU
+  used,          ///< the frame's pose was optimised with it
+};
+
+/// The state as a word.
+inline char const* name_of(imu_state state) {
+  constexpr char const* names[] = {"initialising", "known", "used"};
+  return names[static_cast<int>(state)];
+}
+
+/// The status as a word, such as "little_motion".
+inline char const* name_of(initialization_status status) {
+  constexpr char const* names[] = {"initialized", "at_rest",       "few_keyframes", "no_integral",
+                                   "not_finite",  "little_motion", "inconsistent"};
+  constexpr int count = sizeof names / sizeof *names;
+  static_assert(count == static_cast<int>(initialization_status::inconsistent) + 1, "one a status");
+  int const i = static_cast<int>(status);
+  return i >= 0 && i < count ? names[i] : "unknown";
+}
+
+/// The status as a word, such as "no_samples".
+inline char const* name_of(integration_status status) {
+  constexpr char const* names[] = {"integrated", "no_samples", "one_sample",  "no_steps",
+                                   "unordered",  "not_finite", "gap",         "repeated",
+                                   "wrong_rate", "too_many",   "contradicted"};
+  constexpr int count = sizeof names / sizeof *names;
+  static_assert(count == static_cast<int>(integration_status::contradicted) + 1, "one a status");
+  int const i = static_cast<int>(status);
+  return i >= 0 && i < count ? names[i] : "unknown";
+}
+
+/// The state of an IMU, and why it is not `used`; no full stop at the text's end.
+struct imu_explanation {
+  imu_state state = imu_state::initialising;
+  /// A name of an integration_status, if the frame's samples are not usable; else of the
+  /// initialization_status that keeps the IMU from being known, or "no_pose". "none" if it is used.
+  char const* reason = "none";
+  std::string text;  ///< empty if it is used
+};
+
+namespace detail {
+
+/// Why samples say nothing of a motion. @pre they are not usable
+inline std::string unusable_text(integration_status status, imu_params const& params) {
+  switch (status) {
+    case integration_status::no_samples:
+      return "there are no samples since the frame before";
+    case integration_status::one_sample:
+      return "there is one sample alone since the frame before";
+    case integration_status::no_steps:
+      return "all samples are older than the frame before";
+    case integration_status::unordered:
+      return "it is the first frame, or times of samples do not ascend";
+    case integration_status::not_finite:
+      return "a sample or a time is not finite";
+    case integration_status::gap:
+      return "for more than " + one_decimal(params.selection.longest_gap_s) +
+             " s there is no sample";
+    case integration_status::wrong_rate:
+      return "samples come much more or much less often than rate_hz says";
+    case integration_status::too_many:
+      return "there are more samples than the " + std::to_string(params.samples) +
+             " of imu_params::samples";
+    default:
+      return "many matches of images contradict the samples";
+  }
+}
+
+/// Why gravity, velocity and biases are not known though samples are usable.
+inline std::string unknown_imu_text(initialization_status status, imu_params const& params) {
+  switch (status) {
+    case initialization_status::few_keyframes:
+      return std::to_string(params.initialization.least_keyframes) +
+             " keyframes in a row with usable samples are asked for";
+    case initialization_status::no_integral:
+      return "samples between two keyframes are not usable";
+    case initialization_status::not_finite:
+      return "a pose or an integral of samples is not finite";
+    case initialization_status::little_motion:
+      return "velocity, gravity or biases are uncertain: the motion is too little, or the samples "
+             "do not suit the images";
+    case initialization_status::inconsistent:
+      return "the samples contradict the images";
+    default:
+      return "what was found is not in use yet";
+  }
+}
+
+}  // namespace detail
+
+/// Says whether the IMU is used, and why not. Host; allocates the text.
+/// @param t of a frame @param params of the odometry
+inline imu_explanation explain_imu(imu_tracking const& t, imu_params const& params = {}) {
+  if (t.optimized) { return {imu_state::used, "none", {}}; }
+  imu_state const state = t.known ? imu_state::known : imu_state::initialising;
+  if (!usable(t.samples)) {
+    return {state, name_of(t.samples), detail::unusable_text(t.samples, params)};
+  }
+  if (t.known) {
+    return {state, "no_pose", "the frame's matches gave no pose that agrees with the samples"};
+  }
+  return {state, name_of(t.estimate), detail::unknown_imu_text(t.estimate, params)};
 }
 
 }  // namespace FT_ABI

@@ -160,7 +160,7 @@ struct imu_clock_offset {
   double sigma_s = 0;   ///< its standard deviation; 0 = there is no estimate
 };
 
-/// What the IMU says about a frame. imu_warnings() says in words what is wrong with its samples.
+/// What the IMU says about a frame. In words: explain_imu(), whether it is used; imu_warnings().
 struct imu_tracking {
   bool known = false;  ///< gravity, velocity and biases are known; until then the rest is 0, but
                        ///< what is said of the samples

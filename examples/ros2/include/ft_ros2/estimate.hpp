@@ -53,6 +53,8 @@ struct estimate {
   bool moving_known = false;  ///< the frame before was tracked, too, so there are velocities:
   std::array<double, 3> linear{}, angular{};  ///< mean since then, in the base's frame
   int map_id = 0;           ///< of the map that the pose is in, from 1 on; 0 = none
+  bool map_begun = false;   ///< the frame begins it
+  std::string imu_state;    ///< initialising, known or used, and why not used; empty without an IMU
   std::string warning;      ///< why the pose may be wrong, names and sentences; empty if it is not
   std::string imu_warning;  ///< what is likely wrong with samples of the IMU; empty if nothing
 };

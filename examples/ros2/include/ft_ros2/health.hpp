@@ -24,6 +24,7 @@ public:
   void take(estimate const& e, double ms) {
     ++frames_;
     tracked_ += e.tracked ? 1 : 0;
+    maps_begun_ += e.map_begun ? 1 : 0;
     ms_ += ms;
     last_ = e;
     std::string text = e.warning;
@@ -58,13 +59,15 @@ public:
     add("inliers", std::to_string(last_.inliers));
     add("map points", std::to_string(last_.map_points));
     add("map", std::to_string(last_.map_id));
+    add("maps begun", std::to_string(maps_begun_));
+    if (!last_.imu_state.empty()) { add("IMU", last_.imu_state); }
     if (!warning_.empty()) { add("warning", warning_); }
     *this = {};
     return h;
   }
 
 private:
-  int frames_ = 0, tracked_ = 0;
+  int frames_ = 0, tracked_ = 0, maps_begun_ = 0;
   double ms_ = 0;
   estimate last_;
   std::string warning_, refused_;

@@ -8,6 +8,7 @@
 #include <string>
 
 #include "ft/any_odometry.hpp"
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
 #include "ft/pipelines/tracking_warnings.hpp"
 #include "ft_ros2/base_frame.hpp"
@@ -54,13 +55,18 @@ public:
     int const h = pair_.height;
     ft::tracking const t = odometry_.track({{{left, w, h, w}, {right, w, h, w}}}, time_ns);
     // The first frame of a later map is at a guessed place.
-    bool const guessed = t.keyframe && t.inliers == 0 && t.maps > 1;
+    bool const guessed = t.map_begun && t.maps > 1;
     estimate e;
     e.tracked = t.state == ft::tracking_state::tracking && !guessed;
     e.keyframe = t.keyframe;
     e.inliers = t.inliers;
     e.map_points = t.map_points;
     e.map_id = t.map_id;
+    e.map_begun = t.map_begun;
+    if (odometry_.params().imu.present) {
+      ft::imu_explanation const imu = ft::explain_imu(t.imu, odometry_.params().imu);
+      e.imu_state = ft::name_of(imu.state) + (imu.text.empty() ? "" : ": " + imu.text);
+    }
     for (ft::tracking_notice const& said : ft::warnings_of(t, odometry_.params())) {
       if (said.warning == ft::tracking_warning::imu) { continue; }
       e.warning += (e.warning.empty() ? "" : "; ") + std::string(ft::name_of(said.warning)) + ": " +

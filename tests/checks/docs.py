@@ -60,12 +60,16 @@ def texts(code):
 
 
 def warnings_of(headers):
-    """By type, the names that name_of() gives; and the sentences of imu_warnings(), each as its texts."""
+    """By type, the names that name_of() and explain_imu() give, where not all is well; and the sentences of imu_warnings(),
+    each as its texts."""
+    well = {"none", "initialized", "at_rest", "integrated", "repeated"}
     names = {}
     for header in headers:
-        for kind, body in re.findall(r"name_of\((\w+_(?:reason|warning)) \w+\) \{(.*?)\n\}", header, re.DOTALL):
+        for kind, body in re.findall(r"name_of\((\w+_(?:reason|warning|status)) \w+\) \{(.*?)\n\}", header, re.DOTALL):
             listed = re.search(r"names\[\] = \{(.*?)\};", body, re.DOTALL)
-            names[kind] = [text for text in re.findall(r'"(\w+)"', listed.group(1)) if text != "none"]
+            names[kind] = [text for text in re.findall(r'"(\w+)"', listed.group(1)) if text not in well]
+        for body in re.findall(r"imu_explanation explain_imu\(.*?\n\}", header, re.DOTALL):
+            names["imu_explanation"] = re.findall(r'return \{state, "(\w+)"', body)
     sentences = []
     for header in headers:
         function = re.search(r"imu_warnings\(imu_tracking.*?\n\}", header, re.DOTALL)
@@ -112,6 +116,11 @@ def main():
     headers = [header.read_text(encoding="utf-8") for header in sorted((ROOT / "include" / "ft").rglob("*.hpp"))]
     for problem in problems_of_warnings(failing.read_text(encoding="utf-8"), headers, texts_of_recordings()):
         problems.append(f"{failing.relative_to(ROOT)}: {problem}")
+    names, _ = warnings_of(headers)
+    guide = (ROOT / "docs" / "guide.md").read_text(encoding="utf-8")
+    for name in [*names["tracking_warning"], *names["tracking_reason"]]:
+        if f"`{name}`" not in guide:
+            problems.append(f"docs/guide.md: the warning or reason '{name}' is missing")
     checked = 0
     for page in pages():
         if not page.is_file():

@@ -2,7 +2,6 @@
 """Makes and tracks the sequences of scenarios, and the rows of their table."""
 import json
 import pathlib
-import re
 import subprocess
 import threading
 
@@ -132,23 +131,12 @@ def finished(row, scenario):
 
 def read_run(run):
     summary = json.loads((run / "summary.json").read_text())
-    frames = motions.read_frames(run, {"recording"} if any("imu0" in w for w in summary["warnings"]) else set())
-    with open(run / "times.csv", encoding="utf-8") as file:
-        by_frame = "warnings" in file.readline().rstrip().split(",")
-    if not by_frame:
-        add_imu_warnings(frames, summary["warnings"])
-    return frames, summary
+    return motions.read_frames(run, told_of_all(summary["warnings"])), summary
 
 
-def add_imu_warnings(frames, sentences):
-    """Sentences about the IMU that say when, where times.csv does not: as if their frames followed each other."""
-    for sentence in sentences:
-        found = re.search(r"; (?:in (\d+) of \d+ frames, )?first in frame (\d+)$", sentence)
-        if found:
-            first = int(found.group(2))
-            count = int(found.group(1) or len(frames))
-            for f in frames[first : first + count]:
-                f.warnings.add("imu")
+def told_of_all(sentences):
+    """Warnings that hold for each frame of a run. Doubts about a recording, as of its units, are none: no frame has them."""
+    return {"imu_left_out"} if any("the samples of the IMU are not used" in s for s in sentences) else set()
 
 
 def figures_of(recording, frames, summary):

@@ -355,10 +355,21 @@ class Table(unittest.TestCase):
         self.assertNotIn("device", rows[0])
         self.assertIn("silent", rows[0]["misses"])
 
-    def test_sentences_about_the_imu_warn_in_their_frames(self):
-        frames = frames_of(line(10))
-        scenario_runs.add_imu_warnings(frames, ["2 samples left out; first in frame 7", "late; in 2 of 10 frames, first in frame 3", "3 maps"])
-        self.assertEqual([i for i, f in enumerate(frames) if f.warnings], [3, 4, 7, 8, 9])
+    def test_a_doubt_about_a_recording_tells_of_no_frame(self):
+        with tempfile.TemporaryDirectory() as name:
+            run = pathlib.Path(name)
+            for file in ("trajectory.txt", "groundtruth.txt"):
+                (run / file).write_text("0.0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n")
+            (run / "times.csv").write_text("time_s,tracked,keyframe,warnings\n0.0,1,1,\n0.1,1,0,imu\n")
+
+            def told(*sentences):
+                (run / "summary.json").write_text(json.dumps({"warnings": sentences}))
+                return [f.warnings for f in scenario_runs.read_run(run)[0]]
+
+            doubt = "mav0/imu0/data.csv: the accelerometer measures 1 m/s^2 in the median, gravity alone is 9.81: is it in g?"
+            self.assertEqual(told(doubt), [set(), {"imu"}])
+            unused = "mav0/imu0/sensor.yaml: the samples of the IMU are not used: no noise"
+            self.assertEqual(told(doubt, unused), [{"imu_left_out"}, {"imu_left_out", "imu"}])
 
 
 if __name__ == "__main__":

@@ -398,8 +398,8 @@ def scenario_rows(file="scenarios_host.json"):
     lines = [
         f"{result['processor']}; {result['date']}, commit {result['commit']}; seeds {', '.join(map(str, seeds))}.",
         "",
-        "| scenario | seeds | ATE, mm | without IMU, mm | largest, mm | lost | most maps | silent | of frames | misses (seeds) |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---|",
+        "| scenario | seeds | ATE, mm | without IMU, mm | largest, mm | lost | most maps | silent | warned, right | of frames | misses (seeds) |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---|",
     ]
     for name, rows in by_name.items():
         lengths = [median_mm(r.get(k) for r in rows) for k in ("ate_m", "ate_without_imu_m", "max_error_m")]
@@ -407,7 +407,8 @@ def scenario_rows(file="scenarios_host.json"):
         maps = max(r.get("maps") or 0 for r in rows)
         missed = sorted({m for r in rows for m in r["misses"]})
         said = ", ".join(f"{m} ({sum(m in r['misses'] for r in rows)})" for m in missed)
-        cells = [name, len(rows), *lengths, totals["lost"], maps, totals["silent"], totals["frames"], said]
+        told = sum(r.get("warned_right") or 0 for r in rows) if any("warned_right" in r for r in rows) else ""  # older rows have none
+        cells = [name, len(rows), *lengths, totals["lost"], maps, totals["silent"], told, totals["frames"], said]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return lines
 
@@ -588,7 +589,9 @@ def self_test():
     assert "| other | host | 100 | 120 | 2.50 |" in ablation() and not ablation()[-2].startswith("other")
     one = dict(scenario="x", seed=1, frames=9, ate_m=0.01, ate_without_imu_m=None, max_error_m=0.5, lost=1, maps=2, silent=3, misses=["maps"])
     results["rows"] = [one, dict(one, seed=2, ate_m=0.03, misses=[]), dict(one, seed=3, ate_m=None)]
-    assert scenario_rows()[-1] == "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 | 27 | maps (2) |", scenario_rows()[-1]
+    assert scenario_rows()[-1] == "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 |  | 27 | maps (2) |", scenario_rows()[-1]
+    results["rows"] = [dict(r, warned_right=4) for r in results["rows"]]
+    assert scenario_rows()[-1] == "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 | 12 | 27 | maps (2) |", scenario_rows()[-1]
     assert range_of([1.2, 3.7]) == "1 to 4" and range_of([1.1, 1.2]) == "1"
     print("update_results.py: self-test passed")
 

@@ -127,9 +127,10 @@ def write(options, rows):
 def main(arguments):
     options = parse(arguments)
     if options.self_test:
-        from evaluation import scenario_test
+        from evaluation import fault_test, scenario_test
 
-        done = unittest.TextTestRunner().run(unittest.defaultTestLoader.loadTestsFromModule(scenario_test))
+        tests = [unittest.defaultTestLoader.loadTestsFromModule(m) for m in (fault_test, scenario_test)]
+        done = unittest.TextTestRunner().run(unittest.TestSuite(tests))
         return 0 if done.wasSuccessful() else 1
     if options.list:
         for s in selected(options.only):

@@ -220,6 +220,7 @@ def late_clock(milliseconds):
     def apply(r):
         for s in r.imu:
             s[0] += round(1e6 * milliseconds)
+        r.clock_ms = milliseconds
 
     return apply
 

@@ -179,6 +179,7 @@ class Frame:
         self.imu_known = bool(row.get("velocity_x"))
         self.imu_used = row.get("imu_optimized") == "1"
         self.silent = False
+        self.clock_s = float(row["imu_clock_offset_s"]) if row.get("imu_clock_offset_s") else None
 
     @property
     def tracked(self):
@@ -264,6 +265,23 @@ def mark_silent(frames, *motions):
             frames[end].silent |= motion.is_wrong and not frames[end].warnings
 
 
+def warned_right(frames, *motions):
+    """How many frames have a warning though each of their motions that is known is right."""
+    known, wrong = set(), set()
+    for moved in motions:
+        for end, motion in moved:
+            known.add(end)
+            if motion.is_wrong:
+                wrong.add(end)
+    return sum(bool(frames[end].warnings) for end in known - wrong)
+
+
+def clock_offset(frames, newest=20):
+    """That of the IMU as found, seconds: median over the newest frames that have one."""
+    found = sorted(f.clock_s for f in frames[-newest:] if f.clock_s is not None)
+    return found[len(found) // 2] if found else None
+
+
 def figures(frames):
     """What a row of the scenarios has of one run."""
     paths = path_lengths(frames)
@@ -287,6 +305,7 @@ def figures(frames):
         "lost": sum(not f.tracked for f in frames),
         "keyframes": sum(f.keyframe for f in frames),
         "silent": sum(f.silent for f in frames),
+        "warned_right": warned_right(frames, steps, seconds),
         "warnings": {n: sum(n in f.warnings for f in frames) for n in names},
         "contained": sum(contained) / len(contained) if contained else None,
         "imu_used": sum(f.imu_used for f in known) / len(known) if known else None,

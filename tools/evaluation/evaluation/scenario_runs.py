@@ -116,7 +116,7 @@ class Workshop:
 
 COLUMNS = (
     "scenario", "seed", "frames", "ate_m", "ate_without_imu_m", "max_error_m", "rpe_frame_m", "rpe_second_m",
-    "lost", "maps", "keyframes", "silent", "warnings",
+    "lost", "maps", "keyframes", "silent", "warned_right", "warnings",
 )
 
 
@@ -153,6 +153,10 @@ def figures_of(recording, frames, summary):
     if getattr(recording, "jumps", None):
         row["jumps"] = len(recording.jumps)
         row["jumps_right"] = sum(k in steps and not steps[k].is_wrong for k in recording.jumps) / len(recording.jumps)
+    if getattr(recording, "clock_ms", None) is not None:
+        found = motions.clock_offset(frames)
+        row["clock_ms"] = recording.clock_ms
+        row["clock_found_ms"] = None if found is None else 1000 * found
     gaps = [k for k in range(1, len(frames)) if frames[k].time_s - frames[k - 1].time_s > 0.5]
     if len(gaps) == 1:
         bridged = steps.get(gaps[0])
@@ -178,11 +182,12 @@ def misses_of(row, scenario):
     return too_large + [n for n, least in scenario.least if row.get(n) is None or not row[n] >= least]
 
 
-WIDTHS = (22, 4, 6, 8, 8, 8, 8, 8, 5, 4, 9, 6)
+WIDTHS = (22, 4, 6, 8, 8, 8, 8, 8, 5, 4, 9, 6, 12)
 HEAD = "  ".join(
     name.rjust(w) if k else name.ljust(w)
     for k, (name, w) in enumerate(zip(
-        ("scenario", "seed", "frames", "ATE", "no IMU", "largest", "a frame", "a second", "lost", "maps", "keyframes", "silent"), WIDTHS))
+        ("scenario", "seed", "frames", "ATE", "no IMU", "largest", "a frame", "a second", "lost", "maps", "keyframes", "silent", "warned right"),
+        WIDTHS))
 ) + "  misses; warnings (frames)   lengths in mm"
 
 
@@ -191,7 +196,7 @@ def line_of(row):
         return "-" if value is None else f"{1000 * value:.1f}"
 
     lengths = [millimetres(row[k]) for k in ("ate_m", "ate_without_imu_m", "max_error_m", "rpe_frame_m", "rpe_second_m")]
-    counts = ["-" if row[k] is None else str(row[k]) for k in ("lost", "maps", "keyframes", "silent")]
+    counts = ["-" if row[k] is None else str(row[k]) for k in ("lost", "maps", "keyframes", "silent", "warned_right")]
     cells = [row["scenario"], str(row["seed"]), "-" if row["frames"] is None else str(row["frames"]), *lengths, *counts]
     text = "  ".join(c.rjust(w) if k else c.ljust(w) for k, (c, w) in enumerate(zip(cells, WIDTHS)))
     said = ", ".join(f"{n} ({count})" for n, count in (row["warnings"] or {}).items())

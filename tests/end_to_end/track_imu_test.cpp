@@ -51,6 +51,23 @@ strings imu_warnings_of(spoilt_sequence const& s) {
   return found;
 }
 
+TEST(TrackImu, EachFrameHasItsStateAndWhetherItBeginsAMap) {
+  spoilt_sequence const s(walk_frames);
+  ASSERT_TRUE(succeeded(track(s.path(), s.out(), {"--threads", "0"})));
+  results const r = read_results(s.out(), walk_frames);
+  int used = 0;
+  for (std::size_t i = 0; i < r.times.size(); ++i) {
+    EXPECT_EQ(r.times[i].at("map_begun"), i == 0 ? "1" : "0") << i;
+    std::string const state = r.times[i].at("imu_state");
+    EXPECT_EQ(state == "used", r.times[i].at("imu_optimized") == "1") << i;
+    EXPECT_EQ(state == "used", r.times[i].at("imu_reason").empty()) << i;
+    used += static_cast<int>(state == "used");
+  }
+  auto const& states = r.summary.at("imu").at("states");
+  EXPECT_EQ(states.value("used", 0), used);
+  EXPECT_TRUE(states.at("initialising").at("few_keyframes").is_number());
+}
+
 TEST(TrackImu, AGoodOneIsNotTalkedAbout) {
   EXPECT_EQ(imu_warnings_of(spoilt_sequence(walk_frames)), strings{});
 }

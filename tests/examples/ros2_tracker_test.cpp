@@ -278,6 +278,9 @@ TEST(Tracker, FollowsAGeneratedRobot) {
         tracker.track(frame.left.pixels.data(), frame.right.pixels.data(), frame.time_ns);
     ASSERT_TRUE(e.tracked) << i;
     EXPECT_EQ(e.moving_known, i > 0);
+    EXPECT_EQ(e.map_begun, i == 0);
+    EXPECT_EQ(e.map_id, 1);
+    EXPECT_EQ(e.imu_state, "");
     Eigen::Isometry3d const truth =
         mounted() * first.inverse() * source.T_world_camera(i) * mounted().inverse();
     EXPECT_LT((eigen_of(e.T_odom_base).translation() - truth.translation()).norm(), 0.02) << i;
@@ -305,7 +308,9 @@ TEST(Tracker, SaysWhatIsWrongWithTheImu) {
     for (std::int64_t t = step_ns; t <= end; t += step_ns) {
       tracker.add_imu(t, t == 40 * step_ns ? std::array<double, 3>{strange, 0, 0} : up, {0, 0, 0});
     }
-    return tracker.track(grey.data(), grey.data(), end).imu_warning;
+    estimate const e = tracker.track(grey.data(), grey.data(), end);
+    EXPECT_EQ(e.imu_state.rfind("initialising: ", 0), 0u) << e.imu_state;
+    return e.imu_warning;
   };
   EXPECT_EQ(warning_after(5'000'000, 1), "");
   std::string const slow = warning_after(20'000'000, 1);

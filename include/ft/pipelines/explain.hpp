@@ -31,7 +31,7 @@ enum class tracking_reason : int {
                         ///< calibration is another one's
   few_depths,           ///< too few keypoints have a depth to begin a map
   awaits_motion,        ///< one camera: the map begins when the camera has moved sideways
-  images_repeat,        ///< all images are those of the frame before while the IMU moves
+  images_repeat,        ///< images are those of the frame before while the IMU moves
   few_matches,          ///< too few keypoints agree with the map, wherever it was tried
 };
 
@@ -199,7 +199,7 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
     return detail::explain_start(t);
   }
   tracking_evidence const& e = t.evidence;
-  if (t.imu.predicted && e.textured > 0 && e.same == e.images) {
+  if (t.imu.predicted && e.textured > 0 && e.same > 0) {
     return {tracking_reason::images_repeat, std::to_string(e.same) + " of " +
                                                 std::to_string(e.images) +
                                                 " images are those of the frame before while the "

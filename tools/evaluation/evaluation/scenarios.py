@@ -139,6 +139,10 @@ INERTIAL = (
         "images_repeated", "both images are the same for half a second",
         faults.repeated_images(4, 4.5), limits=(("ate_m", 0.015),), least=TOLD,
     ),
+    with_imu(
+        "imu_left_repeated", "the left image is the same for half a second",
+        faults.repeated_images(4, 4.5, (0,)), limits=(("ate_m", 0.015),), least=TOLD,
+    ),
 )
 
 ALL = (*IMAGES, *INERTIAL)

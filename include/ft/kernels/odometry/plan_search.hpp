@@ -114,16 +114,15 @@ private:
     }
     return {g.reduce(n.all, sum_op{}), g.reduce(n.dragged, sum_op{})};
   }
-  /// Whether all images are those of the frame before although the IMU says that most of what has a
-  /// depth has moved by a pixel since: a camera's driver repeats them. It stays so while they do.
+  /// Whether all images that have keypoints are those of the frame before although the IMU says
+  /// that most of what has a depth has moved by a pixel since: a camera's driver repeats them. It
+  /// stays so while they do.
   /// @param last pose of the last frame
   template <typename Group, typename Rig>
   FT_HOST_DEVICE static bool is_frozen(Group g, int b, camera_track const& t,
                                        frame_view const& frame, search_start<Rig> const& start,
                                        rigid<double> const& last) {
-    if (t.guided == 0 || !all_same(start.changes + b * start.images, start.images)) {
-      return false;
-    }
+    if (t.guided == 0 || !all_same(frame, b, start.changes)) { return false; }
     if (t.frozen != 0) { return true; }
     auto const T_cw = t.predicted.template cast<strict_float>();
     auto const last_T_cw = last.template cast<strict_float>();
@@ -137,11 +136,12 @@ private:
     }
     return 2 * g.reduce(moved, sum_op{}) > g.reduce(all, sum_op{});
   }
-  FT_HOST_DEVICE static bool all_same(image_changes const* of, int images) {
+  FT_HOST_DEVICE static bool all_same(frame_view const& frame, int b, image_changes const* of) {
     int textured = 0;
-    for (int i = 0; i < images; ++i) {
-      if (of[i].textured > 0 && of[i].same == 0) { return false; }
-      textured += of[i].textured;
+    for (int c = 0; c < frame.cameras; ++c) {
+      image_changes const& image = of[frame.image(b, c)];
+      if (image.textured > 0 && image.same == 0) { return false; }
+      textured += image.textured;
     }
     return textured > 0;
   }

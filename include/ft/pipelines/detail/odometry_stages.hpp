@@ -135,7 +135,6 @@ public:
     start.depth = const_cast<float*>(this->matcher.depth());
     start.depth_cameras = memory.result.depth_cameras;
     start.changes = own.changes.of;
-    start.images = images_of_rig();
     plan_searches(exec, settings.rules, memory.frame, own.state, start);
   }
   /// Matches anywhere in the image, and the pose that most of them agree with: three launches.

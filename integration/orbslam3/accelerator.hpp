@@ -23,8 +23,7 @@
 #include "integration/orbslam3/recovery_stages.hpp"
 #include "integration/orbslam3/settings_of.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// The stages of one tracker. Constructed once. Only the tracking thread may use it, except for
 /// map_point_changed() and forget(), which any thread may call. Several may exist. All calls wait
@@ -320,5 +319,4 @@ private:
   std::vector<int> pnp_keypoints_;  ///< of the correspondences of a pose
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

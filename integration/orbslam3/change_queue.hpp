@@ -11,8 +11,7 @@
 #include <utility>
 #include <vector>
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// push() may be called from any thread, also under the locks of a map point: it takes one more
 /// lock and calls nothing else. Map points are not dereferenced here.
@@ -109,5 +108,4 @@ private:
   std::vector<std::shared_ptr<change_queue<MapPoint>>> kept_;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -24,8 +24,7 @@
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 inline namespace FT_ABI {
 
 /// Frames' keypoints on the device and on the host.
@@ -303,5 +302,4 @@ private:
 };
 
 }  // namespace FT_ABI
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

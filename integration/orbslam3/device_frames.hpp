@@ -16,8 +16,7 @@
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 inline namespace FT_ABI {
 
 struct device_frame {
@@ -156,5 +155,4 @@ private:
 };
 
 }  // namespace FT_ABI
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -17,8 +17,7 @@
 #include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 inline namespace FT_ABI {
 
 /// Lists the points that a frame's keypoints hold, in the order of the keypoints' numbers.
@@ -200,5 +199,4 @@ private:
 };
 
 }  // namespace FT_ABI
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

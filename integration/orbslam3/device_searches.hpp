@@ -23,8 +23,7 @@
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 inline namespace FT_ABI {
 
 /// Writes the windows of recorded sights to their places.
@@ -335,5 +334,4 @@ private:
 };
 
 }  // namespace FT_ABI
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

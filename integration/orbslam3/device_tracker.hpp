@@ -9,8 +9,7 @@
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// Two frames and a map on an executor, and the stages over them. Independent of ORB-SLAM3: its
 /// implementation is executor_tracker.hpp, compiled by the executor's compiler (nvcc for CUDA).
@@ -119,5 +118,4 @@ public:
   virtual void reset_bytes() = 0;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -27,8 +27,7 @@
 #include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/vocabulary_facts.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 inline namespace FT_ABI {
 
 /// One thread at a time, any thread.
@@ -316,5 +315,4 @@ private:
 };
 
 }  // namespace FT_ABI
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -24,8 +24,7 @@
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 inline namespace FT_ABI {
 
 /// Calls of every frame are recorded the first time and then replayed, one graph launch each.
@@ -316,5 +315,4 @@ inline std::unique_ptr<device_tracker> make_cuda_tracker(settings const& s) {
 #endif
 
 }  // namespace FT_ABI
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

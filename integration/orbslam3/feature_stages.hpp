@@ -17,8 +17,7 @@
 #include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// Fills grids on the host: nearly all of the time goes into taking memory for a thousand lists,
 /// which is shared among threads, and which a device could not do. To work out the cells takes a
@@ -238,5 +237,4 @@ private:
   cell_lists cells_{device_->helpers()};
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -18,8 +18,7 @@
 #include "integration/orbslam3/frame_fields.hpp"
 #include "integration/orbslam3/settings_of.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 inline constexpr int grey_type = 0;  ///< CV_8UC1
 
@@ -396,5 +395,4 @@ private:
   int newest_ = 0;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

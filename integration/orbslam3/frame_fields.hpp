@@ -11,8 +11,7 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// Fills in the number of a frame's levels, their scales and variances.
 template <typename Frame>
@@ -75,5 +74,4 @@ inline bool replace_partners(frame_arrays const& a, std::vector<int> const& left
   return changed;
 }
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -21,8 +21,7 @@
 #include "integration/orbslam3/settings_of.hpp"
 #include "integration/orbslam3/verify.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 template <typename Types>
 class front_end;
@@ -355,5 +354,4 @@ private:
   std::set<std::string> reasons_;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -13,8 +13,7 @@
 #include "integration/orbslam3/local_map.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// @tparam Types with frame and map_point
 template <typename Types>
@@ -129,5 +128,4 @@ private:
   std::vector<part> parts_;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

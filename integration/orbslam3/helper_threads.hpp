@@ -13,8 +13,7 @@
 #include <utility>
 #include <vector>
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// share() and wake() may be called by one thread at a time. The caller takes parts from the
 /// beginning, so a helper that wakes up late finds less work, or none. A sleeping thread takes tens
@@ -149,5 +148,4 @@ private:
   std::atomic<bool> ended_{false};
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

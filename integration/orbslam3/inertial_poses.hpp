@@ -11,8 +11,7 @@
 #include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/settings_of.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 namespace inertial_detail {
 
@@ -153,5 +152,4 @@ void take_inertial_result(Frame& frame, bool from_last_frame, inertial_result co
   }
 }
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -16,8 +16,7 @@
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// Used by the tracking thread.
 class local_room {
@@ -260,5 +259,4 @@ private:
       in_order_;  ///< number of a point in view, its place there
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

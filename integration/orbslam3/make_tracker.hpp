@@ -11,8 +11,7 @@
 #include "ft/core/error.hpp"
 #include "integration/orbslam3/executor_tracker.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 std::unique_ptr<device_tracker> make_tracker(settings const& s);
 
@@ -45,5 +44,4 @@ std::unique_ptr<device_tracker> make_tracker(settings const& s) {
   return make_host_tracker(s);
 }
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

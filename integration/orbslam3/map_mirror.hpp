@@ -22,8 +22,7 @@
 #include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/point_fields.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// Reads map points through their own locked functions. With hooks, a thread of the mirror does so
 /// while tracking does other work, also for points that tracking has not met yet; it makes room for
@@ -360,5 +359,4 @@ private:
   std::thread reader_;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -15,8 +15,7 @@
 
 #include "ft/core/error.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// How changes of map points are found.
 enum class change_detection {
@@ -226,5 +225,4 @@ private:
   clock::time_point begin_;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -14,8 +14,7 @@
 #include "ft/types/poses.hpp"
 #include "ft/types/relocalization.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// What a stage returns instead of its answer if its input is refused.
 inline constexpr int call_refused = -1;
@@ -318,5 +317,4 @@ struct word_matches {
   int const* match = nullptr;  ///< [keypoints of the frame] the keyframe's holder, -1 = none
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -18,8 +18,7 @@
 #include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// The float near scaled / factor whose product with `factor` is `scaled`; without one, that
 /// quotient.
@@ -215,5 +214,4 @@ private:
   std::vector<std::unique_ptr<T[]>> blocks_;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

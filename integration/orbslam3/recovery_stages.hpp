@@ -17,8 +17,7 @@
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/vocabulary_facts.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 namespace word_detail {
 
@@ -256,5 +255,4 @@ inline void take_pnp(pnp_found const& found, std::vector<int> const& keypoint,
   to.T_cw = to_isometry(found.T_cw).matrix();
 }
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -15,8 +15,7 @@
 #include "ft/types/poses.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 inline namespace FT_ABI {
 
 using fisheye_rig = stereo_rig<kannala_brandt<float>, kannala_brandt<float>>;
@@ -129,5 +128,4 @@ private:
 };
 
 }  // namespace FT_ABI
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -14,8 +14,7 @@
 #include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// Parameters of a GeometricCamera: GetType() 0 is a pinhole, 1 Kannala-Brandt.
 /// @throws bad_argument for others
@@ -170,5 +169,4 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
   return s;
 }
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -13,8 +13,7 @@
 #include "integration/orbslam3/verify_report.hpp"
 #include "integration/orbslam3/verify_states.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// Makes each call in the CPU's own code and, from the same state, on the accelerator, whose result
 /// is kept. For finding errors, not for speed.
@@ -348,5 +347,4 @@ private:
   tolerances tolerances_;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

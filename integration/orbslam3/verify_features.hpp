@@ -16,8 +16,7 @@
 #include "integration/orbslam3/recovery_stages.hpp"
 #include "integration/orbslam3/verify_report.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// Number of differing bits of two descriptors: row `i` of one matrix and row `j` of another.
 template <typename Matrix>
@@ -214,5 +213,4 @@ void compare_pnp(difference_log& log, tolerances const& allowed, pnp_trial const
               relative_shift(cpu, gpu, matches), allowed.pnp_shift);
 }
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

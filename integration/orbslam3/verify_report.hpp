@@ -14,8 +14,7 @@
 
 #include "integration/orbslam3/options.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// One value that differs, a number of keypoints at other places of the same set, or a map point
 /// that changed without a hook.
@@ -268,5 +267,4 @@ private:
   long before_call_ = 0;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -17,8 +17,7 @@
 #include "integration/orbslam3/map_mirror.hpp"
 #include "integration/orbslam3/verify_report.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 
 /// The members of a map point that the frustum test writes.
 template <typename MapPoint>
@@ -198,5 +197,4 @@ private:
   outcome before_;
 };
 
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

@@ -12,8 +12,7 @@
 #include "ft/core/error.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
-namespace ft {
-namespace orbslam3 {
+namespace ft::orbslam3 {
 inline namespace FT_ABI {
 
 /// `facts` with the hashes of its words, but for those of weight 0 at the end.
@@ -67,5 +66,4 @@ inline void require_same(std::string const& path, vocabulary_facts const& got,
 }
 
 }  // namespace FT_ABI
-}  // namespace orbslam3
-}  // namespace ft
+}  // namespace ft::orbslam3

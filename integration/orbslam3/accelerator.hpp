@@ -296,8 +296,6 @@ public:
   // ---- inputs and outputs of frames
 
   statistics const& times() const { return statistics_; }
-  traffic bytes() const { return device_->bytes(); }
-  void reset_bytes() { device_->reset_bytes(); }
   map_mirror<map_point> const& mirror() const { return mirror_; }
   map_mirror<map_point>& mirror() { return mirror_; }
 

@@ -110,20 +110,6 @@ public:
   /// Keypoints per image for which a frame has room.
   int capacity() const { return std::max(extractor_.capacity(), settings_.most_keypoints); }
   pyramid_geometry const& geometry() const { return extractor_.geometry(); }
-  std::size_t images_bytes() const {
-    return static_cast<std::size_t>(settings_.images) * image_bytes();
-  }
-  /// Bytes of the results of extract().
-  std::size_t result_bytes() const {
-    auto const n = static_cast<std::size_t>(extractor_.capacity());
-    std::size_t const features =
-        static_cast<std::size_t>(settings_.images) * (n * (5 * 4 + 32) + 2 * sizeof(int));
-    return features + (pair() ? stereo_bytes() : n * 2 * sizeof(float));
-  }
-  std::size_t stereo_bytes() const {
-    auto const n = static_cast<std::size_t>(capacity());
-    return Rig::rectified ? n * 8 : n * (8 + 4 + 12);
-  }
   /// Two images, whose stereo matches extract() enqueues, too.
   bool pair() const { return settings_.images == 2; }
 
@@ -163,16 +149,14 @@ public:
     receive_images(exec, all_sources_, extractor_.pyramid());
     extractor_.build_pyramids(exec);
   }
-  /// Enqueues the download of a level. @return its bytes
-  std::size_t download_level(Exec const& exec, int image, int level, unsigned char* to,
-                             std::size_t stride) {
+  /// Enqueues the download of a level.
+  void download_level(Exec const& exec, int image, int level, unsigned char* to,
+                      std::size_t stride) {
     detail::require_range("image", image, 0, settings_.images - 1);
     detail::require_range("pyramid level", level, 0, settings_.levels - 1);
     auto const from = extractor_.pyramid().level(image, level);
-    auto const width = static_cast<std::size_t>(from.width);
-    copy_rows(exec, {to, stride}, {from.data, static_cast<std::size_t>(from.stride)}, width,
-              from.height);
-    return width * static_cast<std::size_t>(from.height);
+    copy_rows(exec, {to, stride}, {from.data, static_cast<std::size_t>(from.stride)},
+              static_cast<std::size_t>(from.width), from.height);
   }
   /// Enqueues the stereo matching of a frame's keypoints from the pyramids, and the download of the
   /// matches.

@@ -60,7 +60,6 @@ public:
 
   int capacity() const { return capacity_; }
   int numbers() const { return searched * capacity_; }
-  std::size_t holder_bytes() const { return static_cast<std::size_t>(numbers()) * sizeof(int); }
   device_frame& operator[](int b) { return frames_[b]; }
   device_frame const& operator[](int b) const { return frames_[b]; }
   frame_arrays const& arrays(int b) const { return arrays_[b]; }

@@ -124,10 +124,6 @@ public:
     }
     return mounts_;
   }
-  std::size_t input_bytes() const {
-    return sizeof(inertial_request) + sizeof(float) * static_cast<std::size_t>(numbers_);
-  }
-  static constexpr std::size_t output_bytes = sizeof(call_outputs);
 
   // ---- launches
 

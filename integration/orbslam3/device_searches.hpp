@@ -131,8 +131,6 @@ class device_searches {
   };
 
 public:
-  static constexpr std::size_t input_bytes = sizeof(call_inputs);
-
   /// Further arguments of a call.
   struct context {
     frame_view frame;

@@ -19,7 +19,7 @@ namespace ft::orbslam3 {
 /// enqueued, which is between a call that waits and the next send(). One thread at a time, except
 /// for what says otherwise. All throw ft::error (bad_argument, cuda_error).
 ///
-/// The calls about words and solve_pnp() depend on no frame here. bytes() does not count them.
+/// The calls about words and solve_pnp() depend on no frame here.
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -113,9 +113,6 @@ public:
   /// The next pose of these correspondences, by the rule of ft::continue_pnp().
   /// @param progress of these correspondences; moved on
   virtual pnp_found solve_pnp(pnp_progress& progress) = 0;
-
-  virtual traffic bytes() const = 0;
-  virtual void reset_bytes() = 0;
 };
 
 }  // namespace ft::orbslam3

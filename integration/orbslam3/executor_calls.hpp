@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file How calls on an executor move words, are recorded, wait, and are counted.
+/// @file How calls on an executor move words, are recorded and wait.
 #pragma once
 
 #include <cstddef>
@@ -79,16 +79,11 @@ public:
         copy(exec, segment.to, segment.from, static_cast<std::size_t>(segment.words));
       }
     }
-    moved_ += 4 * static_cast<std::size_t>(all_.words);
     all_ = {};
   }
 
-  /// Bytes moved since the last take.
-  std::size_t take_bytes() { return std::exchange(moved_, 0); }
-
 private:
   word_segments all_;
-  std::size_t moved_ = 0;
 };
 
 /// A mark in a stream that the host can wait for while later work goes on. On the host all work is
@@ -246,26 +241,12 @@ public:
   void settle() override {
     if (in_flight_) { wait(); }
   }
-  traffic bytes() const override { return bytes_; }
-  void reset_bytes() override { bytes_ = {}; }
 
 protected:
-  /// Uploads the collected data. @param staged bytes that the call's own first launch transfers
-  void begin(std::size_t staged = 0) {
+  /// Uploads the collected data.
+  void begin() {
     settle();
     up_.flush(exec_);
-    std::size_t const bytes = up_.take_bytes() + staged;
-    bytes_.uploads += static_cast<int>(bytes > 0);
-    bytes_.frame += bytes;
-  }
-  void count_download(std::size_t bytes) {
-    ++bytes_.downloads;
-    bytes_.results += bytes;
-  }
-  /// @param bytes that are being downloaded
-  void finish(std::size_t bytes) {
-    count_download(bytes);
-    wait();
   }
   void wait() {
     exec_.wait();
@@ -275,7 +256,6 @@ protected:
 
   Exec exec_;
   word_mover<Exec> up_;
-  traffic bytes_;
   bool in_flight_ = false;  ///< the last call left work that it did not wait for
   bool change_queued_ = false;
 };

@@ -34,11 +34,8 @@ class executor_tracker : public executor_calls<Exec> {
   static constexpr int searched = searched_cameras<Rig>;
   using calls = executor_calls<Exec>;
   using calls::begin;
-  using calls::bytes_;
   using calls::change_queued_;
-  using calls::count_download;
   using calls::exec_;
-  using calls::finish;
   using calls::in_flight_;
   using calls::up_;
   using calls::wait;
@@ -80,9 +77,6 @@ public:
     extraction_.extract(exec_, frames_, request);
     in_flight_ = true;
     stereo_of_ = extraction_.pair() ? request.buffer : -1;
-    bytes_.images += extraction_.images_bytes();
-    ++bytes_.uploads;
-    count_download(extraction_.result_bytes());
   }
 
   void wait_for_features() override {
@@ -94,8 +88,6 @@ public:
     wait();
     extraction_.build_pyramids(exec_, left, right);
     wait();
-    bytes_.images += extraction_.images_bytes();
-    ++bytes_.uploads;
   }
 
   void match_stereo(int buffer) override {
@@ -107,11 +99,11 @@ public:
     }
     begin();
     extraction_.queue_stereo(exec_, frames_, buffer, false);
-    finish(extraction_.stereo_bytes());
+    wait();
   }
 
   void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
-    count_download(extraction_.download_level(exec_, image, level, to, stride));
+    extraction_.download_level(exec_, image, level, to, stride);
     wait();
   }
 
@@ -130,14 +122,11 @@ public:
     if (map_.reserve(exec_, slots)) { graphs_.clear(); }
   }
   void change_map(map_change const& change, std::uint32_t const* words) override {
-    std::size_t const n = change.words();
-    if (n == 0) { return; }
+    if (change.records() == 0) { return; }
     if (change_queued_) { wait(); }
     settle();
     map_.change(exec_, change, words);
     change_queued_ = true;
-    bytes_.map += n * sizeof *words;
-    ++bytes_.uploads;
   }
 
   int local_room() const override { return searches_.local().room(); }
@@ -153,7 +142,7 @@ public:
 
   int search_last_frame(last_frame_request const& r) override {
     searches_.set_last_frame(r);
-    begin(searches_.input_bytes);
+    begin();
     frames_.make_grid(exec_, r.current, r.image);
     auto const call = context_of(r.current);
     graphs_.replay(exec_,
@@ -164,13 +153,13 @@ public:
                      searches_.queue_last_frame(exec, call, r, frames_[r.last]);
                      searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
                    });
-    finish(sizeof(int) + frames_.holder_bytes());
+    wait();
     return searches_.matches();
   }
 
   points_in_view search_local_map(local_map_request const& r) override {
     searches_.set_local_map(exec_, up_, r);
-    begin(searches_.input_bytes);
+    begin();
     frames_.make_grid(exec_, r.buffer, r.image);
     auto const call = context_of(r.buffer);
     auto const lists = [&](Exec const& exec) {
@@ -194,12 +183,8 @@ public:
       choice(exec_);
     }
     sights_there_.wait();
-    points_in_view const found = searches_.in_view();
-    count_download(sizeof(int) + frames_.holder_bytes() +
-                   static_cast<std::size_t>(found.count) *
-                       (sizeof(int) + searched * sizeof(visibility)));
     in_flight_ = true;
-    return found;
+    return searches_.in_view();
   }
   int local_matches() override {
     wait();
@@ -208,40 +193,40 @@ public:
 
   pose_result optimize_pose(int buffer, rigid<double> const& T_cw) override {
     searches_.set_start(T_cw);
-    begin(searches_.input_bytes);
+    begin();
     auto const call = context_of(buffer);
     graphs_.replay(exec_, call_key::of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
       searches_.upload(exec);
       searches_.queue_pose(exec, call);
       searches_.download_pose(exec, frames_.arrays(buffer).holder, call.frame);
     });
-    finish(sizeof(rigid<double>) + sizeof(int) + frames_.holder_bytes());
+    wait();
     return searches_.optimized();
   }
 
   int search_keyframe(keyframe_search_request const& r) override {
     searches_.set_pose(r.T_cw);
-    begin(searches_.input_bytes);
+    begin();
     frames_.make_grid(exec_, r.frame, r.image);
     auto const call = context_of(r.frame);
     searches_.upload(exec_);
     searches_.queue_keyframe(exec_, call, r, frames_[r.keyframe]);
     searches_.download_matches(exec_, frames_.arrays(r.frame).holder, call.frame);
-    finish(sizeof(int) + frames_.holder_bytes());
+    wait();
     return searches_.matches();
   }
 
   float* point_distances() override { return inertial_.distances(); }
   inertial_result optimize_inertial_pose(inertial_request const& r) override {
     int const mount = inertial_.set(r);
-    begin(inertial_.input_bytes());
+    begin();
     auto const call = context_of(r.buffer);
     graphs_.replay(exec_, call_key::of(5, r.buffer, mount, {}, 0, 0), [&](Exec const& exec) {
       inertial_.upload(exec);
       inertial_.queue(exec, {call.frame, call.map, call.geometry});
       inertial_.download(exec, frames_.arrays(r.buffer).holder, call.frame);
     });
-    finish(inertial_.output_bytes + frames_.holder_bytes());
+    wait();
     return inertial_.result();
   }
 

@@ -191,16 +191,6 @@ struct map_change {
   }
 };
 
-/// Bytes over the bus since the last reset.
-struct traffic {
-  std::size_t images = 0;   ///< up
-  std::size_t frame = 0;    ///< up: keypoints, stereo, holders, poses, requests
-  std::size_t map = 0;      ///< up: map points
-  std::size_t results = 0;  ///< down
-  int uploads = 0;          ///< copies and launches that upload something
-  int downloads = 0;
-};
-
 /// Uploaded as it is.
 struct inertial_request {
   int buffer = 0;

@@ -51,7 +51,9 @@ TEST_P(shim_traffic, of_a_frame_in_which_nothing_changed_has_no_map_data) {
   for (auto const detection : {change_detection::compare, change_detection::hooks}) {
     scene s(sensor::stereo, 1, 1200);
     s.settings = with_room(s.settings);
-    accelerator gpu(make(s.settings), s.settings, detecting(detection));
+    auto device = std::make_unique<watched_device>(make(s.settings));
+    traffic& sent = device->sent;
+    accelerator gpu(std::move(device), s.settings, detecting(detection));
     auto const local = s.local_map();
     auto const frame = [&] {
       stand_in::frame f = s.current;
@@ -61,18 +63,16 @@ TEST_P(shim_traffic, of_a_frame_in_which_nothing_changed_has_no_map_data) {
       return ids(f);
     };
     auto const first = frame();
-    EXPECT_EQ(gpu.bytes().map, 1200u * 4 * (4 + 6 + 9 + 2));  // every point, once
-    gpu.reset_bytes();
+    EXPECT_EQ(sent.map, 1200u * 4 * (4 + 6 + 9 + 2));  // every point, once
+    EXPECT_EQ(sent.slots, 1200);
+    sent = {};
     EXPECT_EQ(frame(), first);
-    EXPECT_EQ(gpu.bytes().map, 0u);
-    EXPECT_EQ(gpu.bytes().images, 0u);
-    // The searches and the pose send their inputs in one piece each: a start in double, two poses,
-    // two centres, a quaternion, the number of points and four bytes without use. The current
-    // frame's holders, which were those of the whole frame and are empty again, are cleared by the
-    // search. The list of slots is as before.
-    EXPECT_EQ(gpu.bytes().frame, 3u * (96 + 2 * 48 + 2 * 12 + 16 + 4 + 4));
-    EXPECT_EQ(gpu.bytes().uploads, 3);
-    EXPECT_EQ(gpu.bytes().downloads, 3);
+    EXPECT_EQ(sent.map, 0u);
+    EXPECT_EQ(sent.images, 0);
+    EXPECT_EQ(sent.slots, 0);
+    // The current frame's holders, which were those of the whole frame and are empty again, are
+    // cleared by the search.
+    EXPECT_TRUE(sent.parts.empty());
   }
 }
 
@@ -80,17 +80,19 @@ TEST_P(shim_traffic, of_a_change_is_the_changed_fields) {
   for (auto const detection : {change_detection::compare, change_detection::hooks}) {
     scene s(sensor::stereo, 2, 300);
     s.settings = with_room(s.settings);
-    accelerator gpu(make(s.settings), s.settings, detecting(detection));
+    auto device = std::make_unique<watched_device>(make(s.settings));
+    traffic& sent = device->sent;
+    accelerator gpu(std::move(device), s.settings, detecting(detection));
     hook_into hook;
     hook.gpu = &gpu;
     for (auto& p : s.map) { p->observer = &hook; }
     auto const local = s.local_map();
     auto const bytes_after = [&](auto const& change) {
       change(*s.map[17]);
-      gpu.reset_bytes();
+      sent = {};
       stand_in::frame f = s.current;
       gpu.search_local_points(f, local, 1);
-      return gpu.bytes().map;
+      return sent.map;
     };
     bytes_after([](stand_in::map_point&) {});
     EXPECT_EQ(bytes_after([](stand_in::map_point&) {}), 0u);
@@ -112,7 +114,9 @@ TEST_P(shim_traffic, of_a_change_is_the_changed_fields) {
 
 TEST_P(shim_traffic, of_an_extracted_frame_is_its_images_and_then_nothing_of_it) {
   auto const s = settings_for(sensor::stereo);
-  accelerator gpu(make(s), s);
+  auto device = std::make_unique<watched_device>(make(s));
+  traffic& sent = device->sent;
+  accelerator gpu(std::move(device), s);
   scene world(sensor::stereo, 3);
   stand_in::matrix image;
   image.create(480, 640, 0);
@@ -127,19 +131,18 @@ TEST_P(shim_traffic, of_an_extracted_frame_is_its_images_and_then_nothing_of_it)
   gpu.extract(image, image, f);
   gpu.compute_stereo_matches(f);
   ASSERT_GT(f.N, 500);
-  EXPECT_EQ(gpu.bytes().images, 2u * 640 * 480);
-  EXPECT_EQ(gpu.bytes().frame, 0u);
-  EXPECT_EQ(gpu.bytes().uploads, 1);
-  EXPECT_EQ(gpu.bytes().downloads, 1);
+  EXPECT_EQ(sent.images, 1);
+  EXPECT_TRUE(sent.parts.empty());
   f.mvKeysUn = f.mvKeys;
   f.mvpMapPoints.assign(static_cast<std::size_t>(f.N), nullptr);
   f.mvbOutlier.assign(static_cast<std::size_t>(f.N), false);
-  gpu.reset_bytes();
+  sent = {};
   auto const local = world.local_map();
   gpu.search_local_points(f, local, 1);
-  // A pose, the number of points, their slots; the holders, which are empty from now on.
-  EXPECT_EQ(gpu.bytes().images, 0u);
-  EXPECT_LE(gpu.bytes().frame, 48u + 4u + 4u * local.size() + 4u * 1200u);
+  EXPECT_EQ(sent.images, 0);
+  EXPECT_EQ(sent.slots, static_cast<int>(local.size()));
+  // The holders, which are empty from now on.
+  EXPECT_EQ(sent.parts, std::vector<ft::orbslam3::frame_part>{ft::orbslam3::frame_part::holder});
 }
 
 INSTANTIATE_TEST_SUITE_P(executors, shim_traffic, ::testing::ValuesIn(executors()), executor_name);

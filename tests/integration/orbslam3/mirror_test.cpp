@@ -12,6 +12,7 @@
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/scene.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/watched_device.hpp"
 #include "tests/support/effort.hpp"
 
 namespace orbslam3_test {
@@ -29,7 +30,9 @@ class map_mirror : public on_executor {
 protected:
   void SetUp() override {
     on_executor::SetUp();
-    if (!IsSkipped() && !HasFatalFailure()) { device_ = make(settings_for(sensor::stereo)); }
+    if (!IsSkipped() && !HasFatalFailure()) {
+      device_ = std::make_unique<watched_device>(make(settings_for(sensor::stereo)));
+    }
   }
 
   /// As a constructor and those who call it: `pushes` of them, then the number.
@@ -58,7 +61,7 @@ protected:
     return condition();
   }
 
-  std::unique_ptr<ft::orbslam3::device_tracker> device_;
+  std::unique_ptr<watched_device> device_;
   unsigned long next_id_ = 0;
 };
 
@@ -70,9 +73,9 @@ TEST_P(map_mirror, takes_up_new_points_without_a_call_once_their_constructor_is_
   EXPECT_TRUE(eventually([&] { return m.changes().size() == 0; }));
   auto const pushed_twice = new_point(&hooks, 2);
   EXPECT_TRUE(eventually([&] { return m.size() == 1; }));
-  device_->reset_bytes();
+  device_->sent = {};
   call(m, {pushed_twice.get()});
-  EXPECT_EQ(device_->bytes().map, 4u * ft::orbslam3::map_change::point_words);
+  EXPECT_EQ(device_->sent.map, 4u * ft::orbslam3::map_change::point_words);
   EXPECT_EQ(m.size(), 1);
   call(m, {pushed_twice.get(), pushed_once.get()});
   EXPECT_EQ(m.size(), 2);

@@ -8,15 +8,25 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "integration/orbslam3/device_tracker.hpp"
 
 namespace orbslam3_test {
 
+/// What calls have given to the device.
+struct traffic {
+  int images = 0;                               ///< extractions
+  std::vector<ft::orbslam3::frame_part> parts;  ///< of frames
+  int slots = 0;                                ///< of local maps
+  std::size_t map = 0;                          ///< bytes of changes of map points
+};
+
 /// Passes calls on; on_call is called with the name of each that queues work or waits.
 class watched_device : public ft::orbslam3::device_tracker {
 public:
   std::function<void(std::string const&)> on_call = [](std::string const&) {};
+  traffic sent;
 
   explicit watched_device(std::unique_ptr<device_tracker> to) : to_(std::move(to)) {}
 
@@ -26,6 +36,7 @@ public:
   ft::orbslam3::frame_arrays const& frame(int b) override { return to_->frame(b); }
   void extract(ft::orbslam3::extraction_request const& r) override {
     on_call("extract");
+    ++sent.images;
     to_->extract(r);
   }
   void wait_for_features() override {
@@ -46,6 +57,7 @@ public:
   }
   void send(int b, ft::orbslam3::frame_part part) override {
     on_call("send");
+    sent.parts.push_back(part);
     to_->send(b, part);
   }
   void settle() override {
@@ -59,6 +71,7 @@ public:
   }
   void change_map(ft::orbslam3::map_change const& change, std::uint32_t const* words) override {
     on_call("change_map");
+    sent.map += sizeof *words * change.words();
     to_->change_map(change, words);
   }
   int local_room() const override { return to_->local_room(); }
@@ -74,6 +87,7 @@ public:
   }
   ft::orbslam3::points_in_view search_local_map(ft::orbslam3::local_map_request const& r) override {
     on_call("search_local_map");
+    sent.slots += r.slots_changed ? r.points : 0;
     return to_->search_local_map(r);
   }
   int local_matches() override {
@@ -115,8 +129,6 @@ public:
     on_call("solve_pnp");
     return to_->solve_pnp(progress);
   }
-  ft::orbslam3::traffic bytes() const override { return to_->bytes(); }
-  void reset_bytes() override { to_->reset_bytes(); }
 
 private:
   std::unique_ptr<device_tracker> to_;

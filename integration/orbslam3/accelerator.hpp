@@ -246,31 +246,6 @@ public:
     return matches;
   }
 
-  /// MLPnPsolver::iterate(5, ...) with the parameters (0.99, 10, 300, 6, 0.5, 5.991): the next pose
-  /// of a frame from the points matched to the keypoints of its left camera. Returns 1 with a pose,
-  /// else 0: also for fewer than ten correspondences, which has no more. With other draws than the
-  /// original's: equal calls have equal answers.
-  ///
-  /// Returns call_refused, and changes nothing, for more keypoints than there is room for, or
-  /// an octave without an entry in mvLevelSigma2.
-  /// @param matches by keypoint; bad ones are left out
-  /// @param progress of this frame and these matches
-  int solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
-                pnp_progress& progress, pnp_answer const& to) {
-    stage_timer const timer(sums(stage::solve_pnp));
-    if (!put_correspondences(frame, frames_.keys(frame, 0), matches, device_->correspondences(),
-                             pnp_keypoints_)) {
-      return call_refused;
-    }
-    pnp_progress turn = progress;
-    turn.seed += frame.mnId;
-    pnp_found const found = device_->solve_pnp(turn);
-    turn.seed = progress.seed;
-    progress = turn;
-    take_pnp(found, pnp_keypoints_, matches.size(), to);
-    return static_cast<int>(found.any);
-  }
-
   // ---- map
 
   /// For the hooks: `point` has new values, which are visible under its lock. From any thread.
@@ -313,8 +288,7 @@ private:
   held_points<Types> held_{*device_, mirror_, frames_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fills_projected_points};
   local_room room_{*device_};
-  std::mutex words_mutex_;          ///< of transform_words() and its statistics
-  std::vector<int> pnp_keypoints_;  ///< of the correspondences of a pose
+  std::mutex words_mutex_;  ///< of transform_words() and its statistics
 };
 
 }  // namespace ft::orbslam3

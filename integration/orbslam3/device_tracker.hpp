@@ -19,7 +19,7 @@ namespace ft::orbslam3 {
 /// enqueued, which is between a call that waits and the next send(). One thread at a time, except
 /// for what says otherwise. All throw ft::error (bad_argument, cuda_error).
 ///
-/// The calls about words and solve_pnp() depend on no frame here.
+/// The calls about words depend on no frame here.
 class device_tracker {
 public:
   static constexpr int buffers = 2;
@@ -107,12 +107,6 @@ public:
   /// What the next search_by_words() reads: up to cameras() * capacity() keypoints.
   virtual word_arrays& words_of(word_side side) = 0;
   virtual word_matches search_by_words(word_search_request const& request) = 0;
-
-  /// What the next solve_pnp() reads: up to capacity() correspondences.
-  virtual pnp_arrays& correspondences() = 0;
-  /// The next pose of these correspondences, by the rule of ft::continue_pnp().
-  /// @param progress of these correspondences; moved on
-  virtual pnp_found solve_pnp(pnp_progress& progress) = 0;
 };
 
 }  // namespace ft::orbslam3

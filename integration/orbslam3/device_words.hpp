@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The calls of device_tracker that depend on no frame there: words and poses by RANSAC,
+/// @file The calls of device_tracker that depend on no frame there: words and the search by them,
 /// their memory and launches.
 #pragma once
 
@@ -7,7 +7,6 @@
 #include <cstdint>
 #include <cstring>
 #include <string>
-#include <type_traits>
 
 #include "ft/containers/keypoints.hpp"
 #include "ft/containers/soa.hpp"
@@ -18,11 +17,8 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/kernels/pnp/problem.hpp"
-#include "ft/kernels/pnp/solve_pnp.hpp"
 #include "ft/kernels/words/search_by_words.hpp"
 #include "ft/kernels/words/transform.hpp"
-#include "ft/types/poses.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/vocabulary_facts.hpp"
@@ -231,87 +227,6 @@ private:
   words_search_workspace work_;
   int* staged_match_ = nullptr;
   int* staged_count_ = nullptr;
-};
-
-/// One problem at a time, whose state the caller keeps.
-template <typename Exec, typename Camera>
-class device_pnp : public own_calls<Exec> {
-  using own_calls<Exec>::exec;
-  using state = std::remove_pointer_t<decltype(pnp_workspace::state)>;
-
-public:
-  /// Allocates memory, waits. @param keypoints most correspondences
-  device_pnp(Exec const& beside, Camera const& camera, int keypoints)
-      : own_calls<Exec>(beside), camera_(camera) {
-    int const capacity = (keypoints + 3) / 4 * 4;  // flags are moved as words
-    auto const layout = [&](carver& c) {
-      carve(c, problem_, 1, capacity);
-      carve(c, result_, 1, capacity);
-      carve(c, work_, problem_, params_);
-    };
-    auto const n = static_cast<std::size_t>(capacity);
-    auto const host_layout = [&](carver& c) {
-      c.place(n, staged_.pixel, staged_.point, staged_.max_error2);
-      c.place(1, seed_, state_, count_, answer_);
-      inlier_ = c.take<std::uint32_t>(n / 4);
-    };
-    this->allocate(layout, host_layout);
-    staged_.capacity = keypoints;
-  }
-
-  pnp_arrays& arrays() { return staged_; }
-
-  /// The next pose of what arrays() hold. Waits. @throws bad_argument, cuda_error
-  pnp_found solve(pnp_progress& progress) {
-    detail::require_range("correspondences of a pose", staged_.count, 0, staged_.capacity);
-    detail::require_range("iterations of a pose", progress.done, 0, 1 << 30);
-    if (staged_.count == 0) { return {false, true, {}, 0, nullptr}; }
-    this->call([&](auto& up) { send(up, progress); },
-               [&] {
-                 pnp_rays(exec(), camera_, problem_);
-                 continue_pnp(exec(), camera_, problem_, params_, result_, work_);
-               },
-               [&](auto& down) {
-                 down.add(exec(), answer_, result_.result, 1);
-                 down.add(exec(), state_, work_.state, 1);
-                 down.add(exec(), inlier_, reinterpret_cast<std::uint32_t const*>(result_.inlier),
-                          (staged_.count + 3) / 4);
-               });
-    progress.done = state_->done;
-    progress.kept_inliers = state_->kept_inliers;
-    progress.kept = state_->kept;
-    return {has_pose(answer_->status), no_more(answer_->status), answer_->T_cw, answer_->inliers,
-            reinterpret_cast<unsigned char const*>(inlier_)};
-  }
-
-private:
-  /// Hypotheses behind the iterations that are done may be another problem's: they are evaluated
-  /// again, to the same bits.
-  void send(word_mover<Exec>& up, pnp_progress const& progress) {
-    int const n = staged_.count;
-    *count_ = n;
-    *seed_ = progress.seed;
-    state_->done = state_->evaluated = progress.done;
-    state_->kept_inliers = progress.kept_inliers;
-    state_->kept = progress.kept;
-    up.add(exec(), problem_.count, count_, 1);
-    up.add(exec(), problem_.seed, seed_, 1);
-    up.add(exec(), work_.state, state_, 1);
-    up.add(exec(), problem_.pixel, staged_.pixel, n);
-    up.add(exec(), problem_.point, staged_.point, n);
-    up.add(exec(), problem_.max_error2, staged_.max_error2, n);
-  }
-  Camera camera_;
-  pnp_params params_;
-  pnp_problems_view problem_;
-  pnp_results_view result_;
-  pnp_workspace work_;
-  pnp_arrays staged_;
-  std::uint64_t* seed_ = nullptr;
-  state* state_ = nullptr;
-  int* count_ = nullptr;
-  pnp_result* answer_ = nullptr;
-  std::uint32_t* inlier_ = nullptr;
 };
 
 }  // namespace FT_ABI

@@ -53,8 +53,7 @@ public:
         searches_(exec_, rig_of<Rig>(s), s, extraction_.capacity()),
         inertial_(exec_, rig_of<Rig>(s), s, extraction_.capacity()),
         bags_(exec_, cameras() * capacity(), s.levels_up),
-        word_search_(exec_, cameras() * capacity()),
-        pnp_(exec_, detail::left_camera(rig_of<Rig>(s)), capacity()) {
+        word_search_(exec_, cameras() * capacity()) {
     map_.reserve(exec_, s.map_points);
     exec_.wait();
     extraction_.record(exec_, frames_);
@@ -239,8 +238,6 @@ public:
   word_matches search_by_words(word_search_request const& request) override {
     return word_search_.search(request);
   }
-  pnp_arrays& correspondences() override { return pnp_.arrays(); }
-  pnp_found solve_pnp(pnp_progress& progress) override { return pnp_.solve(progress); }
 
 private:
   using context = typename device_searches<Exec, Rig>::context;
@@ -258,7 +255,6 @@ private:
   device_inertial<Exec, Rig> inertial_;
   device_bags<Exec> bags_;
   device_word_search<Exec> word_search_;
-  device_pnp<Exec, left_camera_of<Rig>> pnp_;
   call_graphs<Exec> graphs_;
   stream_mark<Exec> sights_there_;
   int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued

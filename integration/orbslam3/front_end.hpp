@@ -233,18 +233,6 @@ public:
       return by.search_keyframe(frame, keyframe, found, th, max_distance, with...);
     });
   }
-  /// The next pose of a candidate of relocalisation, and its inliers.
-  /// @param matches of the frame's keypoints
-  /// @param progress one for each candidate, by default constructed
-  /// @param to the variables that `cpu` writes to, too
-  /// @param cpu MLPnPsolver::iterate(5, ...)
-  template <typename Cpu>
-  bool solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
-                 pnp_progress& progress, pnp_answer const& to, Cpu const& cpu) {
-    return either(stage::solve_pnp, cpu, [&](auto& by, auto const&... with) {
-             return static_cast<int>(by.solve_pnp(frame, matches, progress, to, with...));
-           }) != 0;
-  }
 
   /// To be called before a map point is deleted.
   void forget(map_point const* point) {

@@ -39,9 +39,8 @@ enum class stage {
   search_keyframe,
   transform,
   search_by_bow,
-  solve_pnp,
 };
-inline constexpr int stage_count = 16;
+inline constexpr int stage_count = 15;
 
 inline char const* name_of(stage s) {
   constexpr char const* names[stage_count] = {"extract",
@@ -58,8 +57,7 @@ inline char const* name_of(stage s) {
                                               "pose_inertial_last_keyframe",
                                               "search_keyframe",
                                               "transform",
-                                              "search_by_bow",
-                                              "solve_pnp"};
+                                              "search_by_bow"};
   return names[static_cast<int>(s)];
 }
 
@@ -68,7 +66,7 @@ inline bool reads_map(stage s) { return s >= stage::search_last_frame && s < sta
 
 /// Whether a stage computes a pose. ft's are not the CPU's to the bit.
 inline bool gives_pose(stage s) {
-  return s == stage::pose_last_frame || s == stage::solve_pnp ||
+  return s == stage::pose_last_frame ||
          (s >= stage::pose_local_map && s <= stage::pose_inertial_last_keyframe);
 }
 

@@ -219,33 +219,6 @@ struct keyframe_search_request {
   int max_hamming = 100;     ///< largest Hamming distance of a match, bits
 };
 
-/// Correspondences of a pose in host memory, to be filled in by the caller.
-struct pnp_arrays {
-  int capacity = 0;
-  int count = 0;                 ///< at most capacity
-  vec2<float>* pixel = nullptr;  ///< [count] undistorted
-  vec3<float>* point = nullptr;  ///< [count] in the world, metres
-  float* max_error2 = nullptr;   ///< [count] squared error of an inlier, pixels^2
-};
-
-/// How far the RANSAC of one candidate has come. Default constructed before its first call; each
-/// call moves it on.
-struct pnp_progress {
-  std::uint64_t seed = 0;  ///< of the samples, to which the frame's number is added
-  int done = 0;            ///< iterations
-  int kept_inliers = 0;    ///< of the best pose so far, 0 = none
-  rigid<double> kept{};    ///< that pose
-};
-
-/// Answer of one call.
-struct pnp_found {
-  bool any = false;      ///< whether there is a pose
-  bool no_more = false;  ///< as many iterations are made as were planned
-  pose T_cw = pose::identity();
-  int inliers = 0;
-  unsigned char const* inlier = nullptr;  ///< [count] 1 = inlier; until the next call
-};
-
 /// What tells one vocabulary from another: its header, and all its words. The inner nodes are left
 /// out, since DBoW2 shows none of them.
 struct vocabulary_facts {

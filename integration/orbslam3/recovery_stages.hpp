@@ -2,8 +2,6 @@
 /// @file Words and relocalisation between ORB-SLAM3's members and the device's arrays.
 #pragma once
 
-#include <Eigen/Core>
-#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -12,7 +10,6 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "ft/interop/eigen.hpp"
 #include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/vocabulary_facts.hpp"
@@ -184,14 +181,6 @@ bool put_word_search(device_tracker& device, KeyFrame const& keyframe, Frame con
   return true;
 }
 
-/// Where the answer of a call of the pose solver goes: the arguments of MLPnPsolver::iterate().
-struct pnp_answer {
-  bool& no_more;
-  std::vector<bool>& inliers;  ///< by keypoint
-  int& count;                  ///< of inliers, 0 without a pose
-  Eigen::Matrix4f& T_cw;       ///< without a pose it stays as it is
-};
-
 /// Whether a keyframe's points can be searched in a frame: both have an entry for the point of each
 /// keypoint, the frame has descriptors, and there is room.
 /// @param points entries of the keyframe
@@ -212,47 +201,6 @@ bool can_search_keyframe(frame_exchange<Frame> const& frames, Frame const& frame
       (rows == left && static_cast<std::size_t>(frame.mDescriptorsRight.rows) == size(frame, 1));
   return has_room(frame) && has_room(keyframe) && described && frame.mvpMapPoints.size() == all &&
          points == size(keyframe, 0) + size(keyframe, 1) && frames.bounds_of(frame).have_area();
-}
-
-/// Takes the matched keypoints of the left camera to the device, without those whose points are
-/// bad.
-/// @param keys keypoints of the left camera at undistorted places
-/// @param keypoint gets the keypoint of each correspondence
-/// @return false for more keypoints than there is room for, or an octave that the frame has not
-template <typename Frame, typename Keypoint, typename MapPoint>
-bool put_correspondences(Frame const& frame, std::vector<Keypoint> const& keys,
-                         std::vector<MapPoint*> const& matches, pnp_arrays& to,
-                         std::vector<int>& keypoint) {
-  std::size_t const n = std::min(keys.size(), matches.size());
-  if (n > static_cast<std::size_t>(to.capacity)) { return false; }
-  keypoint.clear();
-  to.count = 0;
-  for (std::size_t i = 0; i < n; ++i) {
-    MapPoint* const p = matches[i];
-    if (p == nullptr || p->isBad()) { continue; }
-    auto const& k = keys[i];
-    auto const octave = static_cast<std::size_t>(k.octave);
-    if (octave >= frame.mvLevelSigma2.size()) { return false; }
-    auto const at = to.count++;
-    to.pixel[at] = {k.pt.x, k.pt.y};
-    to.point[at] = vec3_from_eigen(p->GetWorldPos());
-    to.max_error2[at] = frame.mvLevelSigma2[octave] * 5.991f;
-    keypoint.push_back(static_cast<int>(i));
-  }
-  return true;
-}
-
-/// @param keypoint of each correspondence @param keypoints of the frame
-inline void take_pnp(pnp_found const& found, std::vector<int> const& keypoint,
-                     std::size_t keypoints, pnp_answer const& to) {
-  to.no_more = found.no_more;
-  to.count = found.any ? found.inliers : 0;
-  to.inliers.assign(keypoints, false);
-  if (!found.any) { return; }
-  for (std::size_t i = 0; i < keypoint.size(); ++i) {
-    if (found.inlier[i] != 0) { to.inliers[static_cast<std::size_t>(keypoint[i])] = true; }
-  }
-  to.T_cw = to_isometry(found.T_cw).matrix();
 }
 
 }  // namespace ft::orbslam3

@@ -123,26 +123,6 @@ public:
                   [&] { return gpu_->search_keyframe(frame, keyframe, found, th, max_distance); });
   }
 
-  /// The solver of the CPU goes on with each call, so it is called once.
-  /// @param to the variables that `cpu` writes to, too
-  /// @param cpu MLPnPsolver::iterate(); returns whether there is a pose
-  template <typename Cpu>
-  bool solve_pnp(frame_type const& frame, std::vector<map_point*> const& matches,
-                 pnp_progress& progress, pnp_answer const& to, Cpu const& cpu) {
-    begin(frame, stage::solve_pnp);
-    pnp_trial const by_cpu(cpu() ? 1 : 0, to);
-    pnp_trial const by_gpu(gpu_->solve_pnp(frame, matches, progress, to), to);
-    bool const refused = by_gpu.found == call_refused;
-    if (refused) {
-      log_.add_refusal();
-    } else {
-      compare_pnp(log_, tolerances_, by_cpu, by_gpu, matches);
-    }
-    pnp_trial const& kept = refused ? by_cpu : by_gpu;
-    kept.keep(to);
-    return kept.found == 1;
-  }
-
   /// @param cpu the frustum test of all points and ORBmatcher::SearchByProjection; returns matches
   template <typename Cpu>
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,

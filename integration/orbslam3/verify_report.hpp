@@ -50,10 +50,6 @@ struct tolerances {
   double gyro_bias = 1e-8;    ///< rad/s
   double accel_bias = 3e-6;   ///< m/s^2
   double information = 2e-6;  ///< of the square root of both diagonal entries' product
-  // Between poses by RANSAC, which are drawn: see docs/orbslam3.md.
-  double pnp_inliers = 0.45;  ///< of the larger number
-  double pnp_degrees = 6;
-  double pnp_shift = 0.1;  ///< of the median distance of the inliers
 };
 
 /// What a call has left, as numbers that are compared one by one.

@@ -364,9 +364,9 @@ TEST(front_end_at_start, leaves_poses_to_the_cpu_unless_the_environment_says_whi
       {nullptr,
        {stage::pose_last_frame, stage::pose_local_map, stage::pose_reference_keyframe,
         stage::pose_relocalization, stage::pose_inertial_last_frame,
-        stage::pose_inertial_last_keyframe, stage::solve_pnp}},
+        stage::pose_inertial_last_keyframe}},
       {"none", {}},
-      {"extract,solve_pnp", {stage::extract, stage::solve_pnp}},
+      {"extract,transform", {stage::extract, stage::transform}},
   };
   for (auto const& c : cases) {
     if (c.host != nullptr) { setenv("FT_ORBSLAM3_HOST", c.host, 1); }

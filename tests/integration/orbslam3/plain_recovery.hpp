@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Relocalisation's search for a keyframe's points, and the inliers of a pose, as plain loops
-/// over the stand-in types, written from the specification.
+/// @file Relocalisation's search for a keyframe's points as plain loops over the stand-in types,
+/// written from the specification.
 #pragma once
 
 #include <Eigen/Core>
@@ -72,17 +72,5 @@ private:
   int levels_;
   float factor_;
 };
-
-/// How far a pose is from moving a matched point to its keypoint: the squared error over its limit.
-/// An inlier has less than 1.
-inline float error_share(ft::orbslam3::camera_parameters const& camera, Eigen::Matrix4f const& T_cw,
-                         Eigen::Vector3f const& P, stand_in::keypoint const& k) {
-  Eigen::Vector3f const seen = T_cw.topLeftCorner<3, 3>() * P + T_cw.topRightCorner<3, 1>();
-  Eigen::Vector2f const uv = plain_search::project(camera, seen);
-  float const x = uv.x() - k.pt.x;
-  float const y = uv.y() - k.pt.y;
-  float const sigma = std::pow(1.2f, static_cast<float>(k.octave));
-  return (x * x + y * y) / (5.991f * sigma * sigma);
-}
 
 }  // namespace orbslam3_test

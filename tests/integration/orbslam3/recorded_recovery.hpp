@@ -96,7 +96,7 @@ private:
   std::string set_;
 };
 
-/// A recorded frame, number 0: the samples of its poses are those of the recorded seeds.
+/// A recorded frame, number 0.
 inline stand_in::frame recorded_view(std::string const& root, std::string const& name) {
   test::words_frame const from(root, name);
   stand_in::frame f;

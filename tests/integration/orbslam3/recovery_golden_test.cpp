@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recorded searches for a keyframe's points, poses by RANSAC and whole relocalisations of the
-// reference through the shim.
+// Recorded searches for a keyframe's points and whole relocalisations of the reference through the
+// shim.
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
@@ -15,11 +15,10 @@
 #include <vector>
 
 #include "integration/orbslam3/accelerator.hpp"
-#include "integration/orbslam3/verify_features.hpp"
 #include "tests/conformance/golden_words_input.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
-#include "tests/integration/orbslam3/lost_frame.hpp"
 #include "tests/integration/orbslam3/plain_recovery.hpp"
+#include "tests/integration/orbslam3/pose_solver.hpp"
 #include "tests/integration/orbslam3/recorded_recovery.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
 #include "tests/support/npy.hpp"
@@ -29,7 +28,6 @@ namespace orbslam3_test {
 namespace recovery_golden {
 
 using accelerator = ft::orbslam3::accelerator<stand_in::types>;
-using ft::orbslam3::pnp_progress;
 using ft::orbslam3::stage;
 
 class recorded_recovery : public on_executor {
@@ -74,121 +72,16 @@ TEST_P(recorded_recovery, searches_are_made) {
   EXPECT_GE(cases, 8);
 }
 
-// ---- poses by RANSAC ----------------------------------------------------------------------------
-
-/// The set of a case's camera, which has no second one here: the solver takes the left keypoints.
-std::string set_of_pnp(std::string const& name) {
-  auto const begins = [&](char const* with) { return name.rfind(with, 0) == 0; };
-  if (begins("kb8") || name == "synth_fisheye") { return "kb8"; }
-  return begins("t265") ? "t265_mono" : begins("kitti") ? "kitti" : "euroc_mono";
-}
-
-/// A frame with the recorded keypoints, and the points matched to them.
-struct recorded_problem {
-  stand_in::frame frame;
-  std::vector<std::unique_ptr<stand_in::map_point>> map;
-  std::vector<stand_in::map_point*> matches;
-
-  recorded_problem(recorded_cameras const& cameras, std::string const& folder) {
-    cameras.describe(frame);
-    auto const n = test::read_npy<std::uint8_t>(folder + "/call_inlier.npy").cols();
-    frame.mvKeys.resize(static_cast<std::size_t>(n));
-    matches.resize(frame.mvKeys.size());
-    auto const keypoint = test::read_npy<std::int32_t>(folder + "/keypoint.npy").data;
-    auto const octave = test::read_npy<std::int32_t>(folder + "/octave.npy").data;
-    auto const pixel = test::read_npy<float>(folder + "/p2d.npy");
-    auto const X = test::read_npy<float>(folder + "/X.npy");
-    for (int i = 0; i < X.rows(); ++i) {
-      auto const at = static_cast<std::size_t>(keypoint[static_cast<std::size_t>(i)]);
-      frame.mvKeys[at].pt = stand_in::point2f(pixel(i, 0), pixel(i, 1));
-      frame.mvKeys[at].octave = octave[static_cast<std::size_t>(i)];
-      map.push_back(std::make_unique<stand_in::map_point>());
-      map.back()->SetWorldPos({X(i, 0), X(i, 1), X(i, 2)});
-      matches[at] = map.back().get();
-    }
-    frame.mvKeysUn = frame.mvKeys;
-  }
-};
-
-TEST_P(recorded_recovery, poses_by_ransac_are_found) {
-  std::string const root = recorded_words();
-  int cases = 0;
-  int poses = 0;
-  for (auto const& folder : test::cases_of(root, "pnp")) {
-    SCOPED_TRACE(folder);
-    ++cases;
-    recorded_cameras const cameras(root + "/sets/" +
-                                   set_of_pnp(folder.substr(folder.find_last_of('/') + 1)));
-    auto const s = cameras.settings();
-    recorded_problem const p(cameras, folder);
-    accelerator gpu(make(s), s);
-    auto const calls = test::read_npy<std::int32_t>(folder + "/call_ok_nomore_n_done.npy");
-    auto const flags = test::read_npy<std::uint8_t>(folder + "/call_inlier.npy");
-    auto const T = test::read_npy<float>(folder + "/call_T.npy");
-    pnp_progress progress;
-    progress.seed = test::read_npy<std::uint64_t>(folder + "/seed.npy").data[0];
-    for (int k = 0; k < calls.rows(); ++k) {
-      pose_variables to;
-      EXPECT_EQ(gpu.solve_pnp(p.frame, p.matches, progress, to.answer()), calls(k, 0));
-      EXPECT_EQ(to.no_more, calls(k, 1) != 0);
-      EXPECT_EQ(to.count, calls(k, 2));
-      EXPECT_EQ(progress.done, calls(k, 3));
-      for (int i = 0; i < flags.cols(); ++i) {
-        ASSERT_EQ(to.inliers[static_cast<std::size_t>(i)], flags(k, i) != 0) << i;
-      }
-      if (calls(k, 0) == 0) { continue; }
-      ++poses;
-      Eigen::Matrix4f want;
-      for (int i = 0; i < 16; ++i) {
-        want(i / 4, i % 4) = T.data[static_cast<std::size_t>(16 * k + i)];
-      }
-      EXPECT_LT((to.T_cw - want).cwiseAbs().maxCoeff(), 1e-5f * want.cwiseAbs().maxCoeff());
-    }
-  }
-  EXPECT_GE(cases, 13);
-  EXPECT_GE(poses, 15);
-}
-
-/// The poses of other seeds are as far apart as those of the CPU and the accelerator may be.
-TEST_P(recorded_recovery, poses_of_other_seeds_are_within_verifys_bounds) {
-  std::string const root = recorded_words();
-  int poses = 0;
-  for (auto const& folder : test::cases_of(root, "pnp")) {
-    SCOPED_TRACE(folder);
-    std::string const name = folder.substr(folder.find_last_of('/') + 1);
-    recorded_cameras const cameras(root + "/sets/" + set_of_pnp(name));
-    auto const s = cameras.settings();
-    recorded_problem const p(cameras, folder);
-    accelerator gpu(make(s), s);
-    std::vector<ft::orbslam3::pnp_trial> trials;
-    for (std::uint64_t seed = 1000; seed < 1012; ++seed) {
-      pnp_progress progress;
-      progress.seed = seed;
-      pose_variables to;
-      int const found = gpu.solve_pnp(p.frame, p.matches, progress, to.answer());
-      trials.emplace_back(found, to.answer());
-      poses += found;
-    }
-    // Where few matches fit, some seeds give no pose.
-    bool const few = name == "synth_pinhole_outliers";
-    ft::orbslam3::difference_log log([&](ft::orbslam3::difference const& d) {
-      if (!few || d.what != std::string("pose by RANSAC")) { ADD_FAILURE() << d; }
-    });
-    for (auto const& a : trials) {
-      for (auto const& b : trials) { compare_pnp(log, {}, a, b, p.matches); }
-    }
-  }
-  EXPECT_GT(poses, 100);
-}
-
 // ---- whole relocalisations ----------------------------------------------------------------------
 
 /// Tracking::Relocalization behind the choice of its candidates, with the shim's calls: section 6
-/// of the specification. The steps are compared with a recording.
+/// of the specification. Its poses by RANSAC have the recorded draws. The steps are compared with a
+/// recording.
 class recorded_relocalization {
 public:
-  recorded_relocalization(accelerator& gpu, std::string const& root, std::string folder)
-      : gpu_(gpu), folder_(std::move(folder) + "/") {
+  recorded_relocalization(accelerator& gpu, ft::orbslam3::settings s, std::string const& root,
+                          std::string folder)
+      : gpu_(gpu), settings_(std::move(s)), folder_(std::move(folder) + "/") {
     auto const said = test::words_case(folder_);
     frame_ = recorded_view(root, said["frame"].get<std::string>());
     unsigned long first = 0;
@@ -204,20 +97,20 @@ public:
     auto const n_match = rows("n_match");
     auto const seed = test::read_npy<std::uint64_t>(folder_ + "seed.npy").data[0];
     std::size_t const n = candidates_.size();
-    std::vector<pnp_progress> progress(n);
+    std::vector<std::unique_ptr<pose_solver>> solvers(n);
     std::vector<bool> left(n);
     std::vector<std::vector<stand_in::map_point*>> matches(n);
     for (std::size_t c = 0; c < n; ++c) {
-      progress[c].seed = seed + c;
       left[c] = n_match[c] >= 15;
       matches[c] = candidates_[c].points_of(rows("match_" + std::to_string(c)));
+      solvers[c] = std::make_unique<pose_solver>(settings_, frame_, matches[c], seed + c);
     }
     int winner = -1;
     for (int round = 0; round < 4 && winner < 0; ++round) {
       for (std::size_t c = 0; c < n && winner < 0; ++c) {
         if (!left[c]) { continue; }
         pose_variables to;
-        bool const any = gpu_.solve_pnp(frame_, matches[c], progress[c], to.answer()) == 1;
+        bool const any = solvers[c]->iterate(to);
         left[c] = !to.no_more;
         candidate_ = static_cast<int>(c);
         step(0, any ? to.count : -1);
@@ -295,6 +188,7 @@ private:
   }
 
   accelerator& gpu_;
+  ft::orbslam3::settings settings_;
   std::string folder_;
   stand_in::frame frame_;
   std::vector<recorded_keyframe> candidates_;
@@ -315,7 +209,7 @@ TEST_P(recorded_recovery, relocalisations_go_step_by_step) {
     auto const name = test::words_case(folder)["frame"].get<std::string>();
     auto const s = recorded_cameras(set_of_frame(root, name)).settings();
     accelerator gpu(make(s), s);
-    recorded_relocalization run(gpu, root, folder);
+    recorded_relocalization run(gpu, s, root, folder);
     run.run();
     steps += run.steps();
   }

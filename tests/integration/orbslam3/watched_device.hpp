@@ -124,11 +124,6 @@ public:
     on_call("search_by_words");
     return to_->search_by_words(r);
   }
-  ft::orbslam3::pnp_arrays& correspondences() override { return to_->correspondences(); }
-  ft::orbslam3::pnp_found solve_pnp(ft::orbslam3::pnp_progress& progress) override {
-    on_call("solve_pnp");
-    return to_->solve_pnp(progress);
-  }
 
 private:
   std::unique_ptr<device_tracker> to_;

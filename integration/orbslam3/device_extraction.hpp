@@ -104,6 +104,7 @@ public:
     std::memset(host_memory_.data(), 0, host_memory_.bytes());
     for (int i = 0; i < 2; ++i) { stage_with(i, extractor_.geometry().stride[0]); }
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
+    features_there_.make();
     exec.wait();
   }
 
@@ -280,7 +281,7 @@ private:
   image_source* all_sources_ = nullptr;
   arena<space> memory_;
   arena<staging> host_memory_;
-  stream_mark<Exec> features_there_;
+  work_mark<Exec> features_there_;
   recording<Exec> feature_recordings_[buffers];
   recording<Exec> stereo_recordings_[buffers];
 };

@@ -86,15 +86,6 @@ private:
   word_segments all_;
 };
 
-/// A mark in a stream that the host can wait for while later work goes on. On the host all work is
-/// done when a call returns.
-template <typename Exec>
-class stream_mark {
-public:
-  void set(Exec const&) {}
-  void wait() const {}
-};
-
 /// The device of the thread that constructed the object, for other threads.
 template <typename Exec>
 class thread_device {
@@ -115,14 +106,6 @@ private:
 };
 
 #if defined(__CUDACC__)
-template <>
-class stream_mark<cuda_exec> : event {
-public:
-  void set(cuda_exec const& exec) { record(exec.stream); }
-  /// Waits for the work that was enqueued before set(). @throws cuda_error
-  void wait() const { throw_on_error(cudaEventSynchronize(get()), "cudaEventSynchronize"); }
-};
-
 template <>
 class thread_device<cuda_exec> {
 public:

@@ -13,6 +13,7 @@
 #include "ft/core/cuda_handles.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/recording.hpp"
 #include "integration/orbslam3/device_extraction.hpp"
 #include "integration/orbslam3/device_frames.hpp"
 #include "integration/orbslam3/device_inertial.hpp"
@@ -55,6 +56,7 @@ public:
         bags_(exec_, cameras() * capacity(), s.levels_up),
         word_search_(exec_, cameras() * capacity()) {
     map_.reserve(exec_, s.map_points);
+    sights_there_.make();
     exec_.wait();
     extraction_.record(exec_, frames_);
   }
@@ -256,7 +258,7 @@ private:
   device_bags<Exec> bags_;
   device_word_search<Exec> word_search_;
   call_graphs<Exec> graphs_;
-  stream_mark<Exec> sights_there_;
+  work_mark<Exec> sights_there_;
   int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
 

@@ -13,13 +13,13 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/feature_stages.hpp"
-#include "integration/orbslam3/held_points.hpp"
+#include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/inertial_poses.hpp"
 #include "integration/orbslam3/local_map.hpp"
 #include "integration/orbslam3/map_mirror.hpp"
 #include "integration/orbslam3/options.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/recovery_stages.hpp"
 #include "integration/orbslam3/settings_of.hpp"
 

@@ -12,8 +12,8 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/kernels/grid.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
 namespace ft::orbslam3 {

@@ -6,7 +6,6 @@
 #include <cstdint>
 #include <cstring>
 #include <type_traits>
-#include <utility>
 #include <vector>
 
 #include "ft/core/config.hpp"
@@ -16,7 +15,6 @@
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
 #include "ft/types/tracking.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft::orbslam3 {
@@ -213,34 +211,6 @@ private:
   own_stream<Exec> stream_;
   arena<Exec::space> memory_;
   arena<staging_space<Exec>> host_memory_;
-};
-
-/// Base of a tracker on an executor.
-template <typename Exec>
-class executor_calls : public device_tracker {
-public:
-  explicit executor_calls(Exec exec) : exec_(std::move(exec)) {}
-
-  void settle() override {
-    if (in_flight_) { wait(); }
-  }
-
-protected:
-  /// Uploads the collected data.
-  void begin() {
-    settle();
-    up_.flush(exec_);
-  }
-  void wait() {
-    exec_.wait();
-    change_queued_ = false;
-    in_flight_ = false;
-  }
-
-  Exec exec_;
-  word_mover<Exec> up_;
-  bool in_flight_ = false;  ///< the last call left work that it did not wait for
-  bool change_queued_ = false;
 };
 
 }  // namespace FT_ABI

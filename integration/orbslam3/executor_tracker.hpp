@@ -19,10 +19,10 @@
 #include "integration/orbslam3/device_inertial.hpp"
 #include "integration/orbslam3/device_map.hpp"
 #include "integration/orbslam3/device_searches.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/device_words.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/rigs.hpp"
 
 namespace ft::orbslam3 {
@@ -31,22 +31,13 @@ inline namespace FT_ABI {
 /// Calls of every frame are recorded the first time and then replayed, one graph launch each.
 /// @tparam Rig rectified_rig: one pinhole camera, or a rectified pair; fisheye_rig: kannala_brandt
 template <typename Exec, typename Rig>
-class executor_tracker : public executor_calls<Exec> {
+class executor_tracker : public device_tracker {
   static constexpr int searched = searched_cameras<Rig>;
-  using calls = executor_calls<Exec>;
-  using calls::begin;
-  using calls::change_queued_;
-  using calls::exec_;
-  using calls::in_flight_;
-  using calls::up_;
-  using calls::wait;
 
 public:
-  using calls::settle;
-
   /// Allocates all memory, waits. @throws bad_argument naming the setting
   executor_tracker(Exec exec, settings const& s)
-      : calls(std::move(exec)),
+      : exec_(std::move(exec)),
         settings_(checked<Rig>(s)),
         helpers_(helper_threads::chosen(s.helpers)),
         extraction_(exec_, rig_of<Rig>(s), s, helpers_),
@@ -73,6 +64,9 @@ public:
   int cameras() const override { return settings_.images == 2 ? searched : 1; }
   frame_arrays const& frame(int buffer) override { return frames_.arrays(buffer); }
 
+  void settle() override {
+    if (in_flight_) { wait(); }
+  }
   void extract(extraction_request const& request) override {
     settle();
     extraction_.extract(exec_, frames_, request);
@@ -247,6 +241,19 @@ private:
   context context_of(int buffer) const {
     return {frames_.view(buffer), map_.view(), extraction_.geometry()};
   }
+  /// Uploads the collected data.
+  void begin() {
+    settle();
+    up_.flush(exec_);
+  }
+  void wait() {
+    exec_.wait();
+    change_queued_ = false;
+    in_flight_ = false;
+  }
+
+  Exec exec_;
+  word_mover<Exec> up_;
   thread_device<Exec> device_;
   settings settings_;
   helper_threads helpers_;
@@ -259,6 +266,8 @@ private:
   device_word_search<Exec> word_search_;
   call_graphs<Exec> graphs_;
   work_mark<Exec> sights_there_;
+  bool in_flight_ = false;  ///< the last call left work that it did not wait for
+  bool change_queued_ = false;
   int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
 

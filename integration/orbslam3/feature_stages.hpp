@@ -11,7 +11,6 @@
 
 #include "ft/core/error.hpp"
 #include "ft/kernels/grid.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/options.hpp"

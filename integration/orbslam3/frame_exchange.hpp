@@ -14,8 +14,9 @@
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/views.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_fields.hpp"
+#include "integration/orbslam3/helper_threads.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/settings_of.hpp"
 
 namespace ft::orbslam3 {

@@ -18,8 +18,8 @@
 
 #include "ft/core/error.hpp"
 #include "integration/orbslam3/change_queue.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/options.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/point_fields.hpp"
 
 namespace ft::orbslam3 {

@@ -16,7 +16,7 @@
 
 #include "ft/core/error.hpp"
 #include "ft/interop/eigen.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 
 namespace ft::orbslam3 {
 

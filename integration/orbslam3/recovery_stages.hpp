@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/device_tracker.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 #include "integration/orbslam3/vocabulary_facts.hpp"
 
 namespace ft::orbslam3 {

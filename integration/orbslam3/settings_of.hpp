@@ -1,17 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The shim's settings from the members of ORB-SLAM3's Tracking, in one call; its cameras and
-/// poses as plain structures, and back.
+/// @file What ORB-SLAM3's Tracking.h includes: the shim's settings from the members of Tracking, in
+/// one call; its cameras and poses as plain structures, and back.
 #pragma once
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <cstddef>
 #include <cstring>
+#include <memory>  // of the tracker that Tracking owns
 #include <string>
 #include <type_traits>
 
 #include "ft/core/error.hpp"
 #include "ft/interop/eigen.hpp"
+#include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft::orbslam3 {

@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include "integration/orbslam3/device_tracker.hpp"
+#include "integration/orbslam3/plain_types.hpp"
 
 namespace orbslam3_test {
 

@@ -62,19 +62,15 @@ public:
     }
     map_call_end const end(mirror_);
     mirror_.begin_call();
-    last_frame_request request;
-    request.current = frames_.bind(current, frames_.find(last));
-    request.last = frames_.bind_last(last, request.current);
-    held_.send(request.last, last, true);
+    search_request request = request_of(current, frames_.find(last), th);
+    request.other = frames_.bind_last(last, request.buffer);
+    held_.send(request.other, last, true);
     mirror_.flush();
-    request.T_cw = transform_of(current.GetPose());
-    request.rotation = rotation_of(current.GetPose());
-    request.T_lw = transform_of(last.GetPose());
-    request.image = frames_.bounds_of(current);
-    request.window_radius = th;
+    request.inputs.rotation = rotation_of(current.GetPose());
+    request.inputs.T_lw = transform_of(last.GetPose());
     request.ignore_motion_direction = mono;
     int const matches = device_->search_last_frame(request);
-    held_.write_matches(request.current, current);
+    held_.write_matches(request.buffer, current);
     return matches;
   }
 
@@ -91,16 +87,12 @@ public:
     room_.follow(static_cast<int>(points.size()));
     map_call_end const end(mirror_);
     mirror_.begin_call();
-    local_map_request request;
-    request.buffer = frames_.bind(frame, -1);
+    search_request request = request_of(frame, -1, th);
     held_.send(request.buffer, frame, false);
     int const tested = local_.gather(request, frame, points, far_points, far_threshold);
     mirror_.flush();
     if (tested == 0) { return 0; }
-    request.T_cw = transform_of(frame.GetPose());
-    centres_of(frame, device_->cameras(), request.centres);
-    request.image = frames_.bounds_of(frame);
-    request.radius_factor = th;
+    centres_of(frame, device_->cameras(), request.inputs.centres);
     request.max_distance = far_points ? far_threshold : 0.0f;
     auto const seen = device_->search_local_map(request);
     local_.write_sights(frame, points, seen);
@@ -231,18 +223,14 @@ public:
     if (!can_search_keyframe(frames_, frame, keyframe, points.size())) { return call_refused; }
     map_call_end const end(mirror_);
     mirror_.begin_call();
-    keyframe_search_request request;
-    request.frame = frames_.bind(frame, -1);
-    request.keyframe = frames_.send_angles(keyframe, request.frame);
-    held_.send(request.frame, frame, false);
-    held_.send_searched(request.keyframe, keyframe, points, found);
+    search_request request = request_of(frame, -1, th);
+    request.other = frames_.send_angles(keyframe, request.buffer);
+    held_.send(request.buffer, frame, false);
+    held_.send_searched(request.other, keyframe, points, found);
     mirror_.flush();
-    request.T_cw = transform_of(frame.GetPose());
-    request.image = frames_.bounds_of(frame);
-    request.window_radius = th;
     request.max_hamming = max_distance;
     int const matches = device_->search_keyframe(request);
-    held_.write_matches(request.frame, frame);
+    held_.write_matches(request.buffer, frame);
     return matches;
   }
 
@@ -284,6 +272,16 @@ private:
     }
     return false;
   }
+  /// A search in a frame, which is sent. @param keep a buffer that must stay, -1 = none
+  search_request request_of(frame_type& frame, int keep, float window) {
+    search_request r;
+    r.buffer = frames_.bind(frame, keep);
+    r.inputs.T_cw = transform_of(frame.GetPose());
+    r.image = frames_.bounds_of(frame);
+    r.window = window;
+    return r;
+  }
+
   map_mirror<map_point> mirror_;
   held_points<Types> held_{*device_, mirror_, frames_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fills_projected_points};

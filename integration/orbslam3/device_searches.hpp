@@ -3,7 +3,6 @@
 /// launches.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 
@@ -119,16 +118,7 @@ class device_searches {
   static constexpr memory_space space = Exec::space;
   static constexpr memory_space staging = staging_space<Exec>;
   static constexpr int searched = searched_cameras<Rig>;
-
-  /// Poses and rotations of a call, uploaded together.
-  struct call_inputs {
-    rigid<double> start;         ///< of a pose that is optimised, T_cw
-    pose T_cw;                   ///< predicted, or `start`
-    pose T_lw;                   ///< of the last frame
-    vec3<float> centres[2];      ///< of the cameras
-    quaternion<float> rotation;  ///< of T_cw
-    int slots;                   ///< in the local map
-  };
+  static_assert(sizeof(search_inputs) % 8 == 0, "moved as words");
 
 public:
   /// Further arguments of a call.
@@ -164,22 +154,11 @@ public:
 
   // ---- inputs: staged here, uploaded by the first launch of a call
 
-  void set_pose(pose const& T_cw) { staged_->T_cw = T_cw; }
-  void set_start(rigid<double> const& T_cw) {
-    staged_->start = T_cw;
-    set_pose(T_cw.cast<float>());
-  }
-  void set_last_frame(last_frame_request const& r) {
-    set_pose(r.T_cw);
-    staged_->T_lw = r.T_lw;
-    staged_->rotation = r.rotation;
-  }
-  /// Adds slots and recorded sights to `up`, which precedes the search.
-  void set_local_map(Exec const& exec, word_mover<Exec>& up, local_map_request const& r) {
-    set_pose(r.T_cw);
-    staged_->slots = r.points;
-    std::copy_n(r.centres, 2, staged_->centres);
-    if (r.slots_changed) { up.add(exec, local_->slots, local_->staged_slots, r.points); }
+  void set(search_inputs const& inputs) { *staged_ = inputs; }
+  /// Of a local map also adds slots and recorded sights to `up`, which precedes the search.
+  void set_local_map(Exec const& exec, word_mover<Exec>& up, search_request const& r) {
+    set(r.inputs);
+    if (r.slots_changed) { up.add(exec, local_->slots, local_->staged_slots, r.inputs.slots); }
     up.add(exec, local_->recorded, local_->staged_recorded, r.recorded);
   }
   void upload(Exec const& exec) {
@@ -190,7 +169,7 @@ public:
 
   // ---- stages, enqueued after upload()
 
-  void queue_last_frame(Exec const& exec, context const& c, last_frame_request const& r,
+  void queue_last_frame(Exec const& exec, context const& c, search_request const& r,
                         device_frame const& last) {
     last_search<Rig> search;
     search.rig = rig_;
@@ -199,7 +178,7 @@ public:
     search.rotations = &inputs_->rotation;
     search.last = {last.keypoints, 2, searched, last.holder};
     search.geometry = c.geometry;
-    search.params.window_radius = r.window_radius;
+    search.params.window_radius = r.window;
     search.params.ignore_motion_direction = r.ignore_motion_direction;
     search.params.orientation_check = settings_.orientation_check;
     search.params.reference_quirks = settings_.reference_quirks;
@@ -211,7 +190,7 @@ public:
     ft::search_last_frame(exec, search, c.frame, c.map, local_->buffers);
   }
 
-  void queue_keyframe(Exec const& exec, context const& c, keyframe_search_request const& r,
+  void queue_keyframe(Exec const& exec, context const& c, search_request const& r,
                       device_frame const& keyframe) {
     keyframe_search<left_camera_of<Rig>, searched> search;
     search.camera = detail::left_camera(rig_);
@@ -219,14 +198,14 @@ public:
     search.keyframe = {keyframe.keypoints, 2, searched, keyframe.holder};
     search.frustum = frustum_of(r.image);
     search.geometry = c.geometry;
-    search.params = {r.window_radius, r.max_hamming, settings_.orientation_check};
+    search.params = {r.window, r.max_hamming, settings_.orientation_check};
     local_->buffers.windows.capacity = searched * keypoints_;
     ft::search_keyframe(exec, search, c.frame, c.map, local_->buffers);
   }
 
   /// Enqueues the frustum test, the candidates, and the download of the points in view.
-  void queue_local_lists(Exec const& exec, context const& c, local_map_request const& r) {
-    local_->buffers.windows.capacity = local_.size_of(r.points);
+  void queue_local_lists(Exec const& exec, context const& c, search_request const& r) {
+    local_->buffers.windows.capacity = local_.size_of(r.inputs.slots);
     if (r.recorded == 0 && !by_both(r)) {
       list_local_map(exec, search_of(r, c.geometry), c.frame, c.map, local_->buffers);
     } else {
@@ -239,20 +218,20 @@ public:
                         local_->capacity});
   }
   /// Enqueues the rest of the search.
-  void queue_local_choice(Exec const& exec, context const& c, local_map_request const& r) {
-    local_->buffers.windows.capacity = local_.size_of(r.points);
+  void queue_local_choice(Exec const& exec, context const& c, search_request const& r) {
+    local_->buffers.windows.capacity = local_.size_of(r.inputs.slots);
     if (r.recorded == 0 && !by_both(r)) {
       assign_candidates(exec, c.frame, c.map, search_params{}, local_->buffers);
       return;
     }
     if (by_both(r)) {
-      for_each_item<per_thread>(exec, r.points, leave_out_far_point{},
+      for_each_item<per_thread>(exec, r.inputs.slots, leave_out_far_point{},
                                 static_cast<visibility const*>(local_->seen), r.max_distance,
                                 local_->buffers.windows);
     }
     for_each_item<per_thread>(exec, r.recorded, place_recorded_window{},
                               static_cast<recorded_sight const*>(local_->recorded),
-                              static_cast<visibility const*>(local_->seen), r.radius_factor,
+                              static_cast<visibility const*>(local_->seen), r.window,
                               bool{Rig::rectified}, c.geometry, local_->buffers.windows);
     search_by_projection(exec, c.frame, c.map, search_params{}, local_->buffers);
   }
@@ -288,19 +267,15 @@ public:
   }
 
 private:
-  static bool by_both(local_map_request const& r) { return !Rig::rectified && r.max_distance > 0; }
+  static bool by_both(search_request const& r) { return !Rig::rectified && r.max_distance > 0; }
 
   frustum_params frustum_of(bounds const& image) const {
-    frustum_params f;
-    f.min_x = image.min_x;
-    f.min_y = image.min_y;
-    f.max_x = image.max_x;
-    f.max_y = image.max_y;
+    frustum_params f{image.min_x, image.min_y, image.max_x, image.max_y};
     f.log_scale_factor = log_rounded(settings_.scale_factor);
     f.levels = settings_.levels;
     return f;
   }
-  local_search<Rig> search_of(local_map_request const& r, pyramid_geometry const& geometry) const {
+  local_search<Rig> search_of(search_request const& r, pyramid_geometry const& geometry) const {
     local_search<Rig> search;
     search.rig = rig_;
     search.T_cw = &inputs_->T_cw;
@@ -308,7 +283,7 @@ private:
     search.slot_count = &inputs_->slots;
     search.frustum = frustum_of(r.image);
     search.geometry = geometry;
-    search.params.radius_factor = r.radius_factor;
+    search.params.radius_factor = r.window;
     search.params.max_distance = Rig::rectified ? r.max_distance : 0;
     search.seen = local_->seen;
     search.centres = inputs_->centres;
@@ -319,10 +294,10 @@ private:
   Rig rig_;
   int keypoints_ = 0;
   observations_view observations_;
-  call_inputs* inputs_ = nullptr;
+  search_inputs* inputs_ = nullptr;
   rigid<double>* optimized_ = nullptr;
   pose* rounded_ = nullptr;  ///< the same
-  call_inputs* staged_ = nullptr;
+  search_inputs* staged_ = nullptr;
   rigid<double>* staged_optimized_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
   int* in_view_ = nullptr;

@@ -135,24 +135,24 @@ public:
   }
   recorded_sight* recorded_sights(int count) override { return searches_.recorded_sights(count); }
 
-  int search_last_frame(last_frame_request const& r) override {
-    searches_.set_last_frame(r);
+  int search_last_frame(search_request const& r) override {
+    searches_.set(r.inputs);
     begin();
-    frames_.make_grid(exec_, r.current, r.image);
-    auto const call = context_of(r.current);
-    graphs_.replay(exec_,
-                   call_key::of(1, r.current, 0, r.image, r.window_radius,
-                                r.ignore_motion_direction ? 1.0f : 0.0f),
-                   [&](Exec const& exec) {
-                     searches_.upload(exec);
-                     searches_.queue_last_frame(exec, call, r, frames_[r.last]);
-                     searches_.download_matches(exec, frames_.arrays(r.current).holder, call.frame);
-                   });
+    frames_.make_grid(exec_, r.buffer, r.image);
+    auto const call = context_of(r.buffer);
+    graphs_.replay(
+        exec_,
+        call_key::of(1, r.buffer, 0, r.image, r.window, r.ignore_motion_direction ? 1.0f : 0.0f),
+        [&](Exec const& exec) {
+          searches_.upload(exec);
+          searches_.queue_last_frame(exec, call, r, frames_[r.other]);
+          searches_.download_matches(exec, frames_.arrays(r.buffer).holder, call.frame);
+        });
     wait();
     return searches_.matches();
   }
 
-  points_in_view search_local_map(local_map_request const& r) override {
+  points_in_view search_local_map(search_request const& r) override {
     searches_.set_local_map(exec_, up_, r);
     begin();
     frames_.make_grid(exec_, r.buffer, r.image);
@@ -166,12 +166,12 @@ public:
       searches_.download_matches(exec, frames_.arrays(r.buffer).holder, call.frame);
     };
     if (r.recorded == 0) {
-      int const size = searches_.local().size_of(r.points);
-      graphs_.replay(
-          exec_, call_key::of(2, r.buffer, size, r.image, r.radius_factor, r.max_distance), lists);
+      int const size = searches_.local().size_of(r.inputs.slots);
+      graphs_.replay(exec_, call_key::of(2, r.buffer, size, r.image, r.window, r.max_distance),
+                     lists);
       sights_there_.set(exec_);
-      graphs_.replay(
-          exec_, call_key::of(3, r.buffer, size, r.image, r.radius_factor, r.max_distance), choice);
+      graphs_.replay(exec_, call_key::of(3, r.buffer, size, r.image, r.window, r.max_distance),
+                     choice);
     } else {
       lists(exec_);
       sights_there_.set(exec_);
@@ -187,7 +187,10 @@ public:
   }
 
   pose_result optimize_pose(int buffer, rigid<double> const& T_cw) override {
-    searches_.set_start(T_cw);
+    search_inputs inputs;
+    inputs.start = T_cw;
+    inputs.T_cw = T_cw.cast<float>();
+    searches_.set(inputs);
     begin();
     auto const call = context_of(buffer);
     graphs_.replay(exec_, call_key::of(4, buffer, 0, {}, 0, 0), [&](Exec const& exec) {
@@ -199,14 +202,14 @@ public:
     return searches_.optimized();
   }
 
-  int search_keyframe(keyframe_search_request const& r) override {
-    searches_.set_pose(r.T_cw);
+  int search_keyframe(search_request const& r) override {
+    searches_.set(r.inputs);
     begin();
-    frames_.make_grid(exec_, r.frame, r.image);
-    auto const call = context_of(r.frame);
+    frames_.make_grid(exec_, r.buffer, r.image);
+    auto const call = context_of(r.buffer);
     searches_.upload(exec_);
-    searches_.queue_keyframe(exec_, call, r, frames_[r.keyframe]);
-    searches_.download_matches(exec_, frames_.arrays(r.frame).holder, call.frame);
+    searches_.queue_keyframe(exec_, call, r, frames_[r.other]);
+    searches_.download_matches(exec_, frames_.arrays(r.buffer).holder, call.frame);
     wait();
     return searches_.matches();
   }

@@ -185,7 +185,7 @@ public:
 
   /// Fills the request of a search for `points`, and their slots on the device.
   /// @return number of points that are tested
-  int gather(local_map_request& request, frame_type const& frame,
+  int gather(search_request& request, frame_type const& frame,
              std::vector<map_point*> const& points, bool far_points, float far_threshold) {
     int const n = static_cast<int>(points.size());
     gathering const all{frame, points, far_points, far_threshold};
@@ -210,7 +210,7 @@ public:
       recorded_.insert(recorded_.end(), own.recorded.begin(), own.recorded.end());
     }
     request.slots_changed = changed;
-    request.points = n;
+    request.inputs.slots = n;
     request.recorded = static_cast<int>(recorded_.size());
     if (request.recorded > 0) {
       std::memcpy(device_->recorded_sights(request.recorded), recorded_.data(),

@@ -136,27 +136,30 @@ struct recorded_sight {
   static constexpr int not_right_alone = 2;
 };
 
-struct last_frame_request {
-  int current = 0;  ///< buffers
-  int last = 0;
-  pose T_cw = pose::identity();            ///< predicted
+/// What a search or a pose starts from, uploaded as it is.
+struct search_inputs {
+  rigid<double> start = rigid<double>::identity();  ///< T_cw of a pose that is optimised
+  pose T_cw = pose::identity();                     ///< of the frame: predicted, or `start`
+  pose T_lw = pose::identity();                     ///< of the last frame
+  vec3<float> centres[2] = {};  ///< of the left and the right camera in the world, metres
   quaternion<float> rotation{0, 0, 0, 1};  ///< of T_cw
-  pose T_lw = pose::identity();
-  bounds image{};
-  float window_radius = 7;  ///< half side of a window at scale 1, pixels
-  bool ignore_motion_direction = false;
+  int slots = 0;                           ///< of a local map, in local_slots(); -1 = not tested
 };
 
-struct local_map_request {
-  int buffer = 0;
-  pose T_cw = pose::identity();
-  vec3<float> centres[2] = {};  ///< of the left and the right camera in the world, metres
+/// Of all three searches; what the others do not read is said.
+struct search_request {
+  int buffer = 0;  ///< of the frame
+  /// Of the last frame, or with counts and angles of the keyframe and what is searched as holders.
+  int other = 0;
+  search_inputs inputs;
   bounds image{};
-  int points = 0;             ///< slots in local_slots(), -1 = not tested
-  bool slots_changed = true;  ///< since the last request
-  int recorded = 0;           ///< entries in recorded_sights()
-  float radius_factor = 1;    ///< of the windows of the left camera
-  float max_distance = 0;     ///< points beyond are not searched; 0 = no limit, metres
+  /// Half side of a window at scale 1, pixels; of a local map a factor, for the left camera.
+  float window = 1;
+  bool ignore_motion_direction = false;  ///< last frame
+  int max_hamming = 100;                 ///< keyframe: largest Hamming distance of a match, bits
+  bool slots_changed = true;             ///< local map: since the last request
+  int recorded = 0;                      ///< local map: entries in recorded_sights()
+  float max_distance = 0;  ///< local map: points beyond are not searched; 0 = no limit, metres
 };
 
 struct pose_result {
@@ -209,15 +212,6 @@ struct inertial_result {
   int tracked = 0;       ///< observations without outliers
   stored_inertial_state state{};
   inertial_prior prior{};  ///< for the next frame
-};
-
-struct keyframe_search_request {
-  int frame = 0;     ///< buffer of the frame, with the points that it holds
-  int keyframe = 0;  ///< buffer with counts and angles of the keyframe; holders: what is searched
-  pose T_cw = pose::identity();  ///< of the frame
-  bounds image{};
-  float window_radius = 10;  ///< half side of a window at scale 1, pixels
-  int max_hamming = 100;     ///< largest Hamming distance of a match, bits
 };
 
 /// What tells one vocabulary from another: its header, and all its words. The inner nodes are left
@@ -348,19 +342,19 @@ public:
   /// Room for `count` recorded sights, of points in local_slots().
   virtual recorded_sight* recorded_sights(int count) = 0;
 
-  /// Starts without holders; fills frame(current).holder. Returns the number of matches.
-  virtual int search_last_frame(last_frame_request const& request) = 0;
+  /// Starts without holders; fills frame(request.buffer).holder. Returns the number of matches.
+  virtual int search_last_frame(search_request const& request) = 0;
   /// Starts from the holders in the buffer. Returns the points in view while the search is still in
   /// flight; local_matches() must follow.
-  virtual points_in_view search_local_map(local_map_request const& request) = 0;
+  virtual points_in_view search_local_map(search_request const& request) = 0;
   /// Waits for the search, which fills the holders. Returns the number of matches.
   virtual int local_matches() = 0;
   /// Starts from the holders in the buffer; those of outliers become -1.
   virtual pose_result optimize_pose(int buffer, rigid<double> const& T_cw) = 0;
 
-  /// Starts from the holders in both buffers; fills frame(request.frame).holder. Returns the number
-  /// of keypoints that take a point.
-  virtual int search_keyframe(keyframe_search_request const& request) = 0;
+  /// Starts from the holders in both buffers; fills frame(request.buffer).holder. Returns the
+  /// number of keypoints that take a point.
+  virtual int search_keyframe(search_request const& request) = 0;
 
   /// By keypoint number: distances of the points held, metres. Of points beyond 10 m an observation
   /// without a right column may err less.

@@ -81,13 +81,13 @@ public:
     return to_->local_slots(points);
   }
   ft::orbslam3::recorded_sight* recorded_sights(int n) override { return to_->recorded_sights(n); }
-  int search_last_frame(ft::orbslam3::last_frame_request const& r) override {
+  int search_last_frame(ft::orbslam3::search_request const& r) override {
     on_call("search_last_frame");
     return to_->search_last_frame(r);
   }
-  ft::orbslam3::points_in_view search_local_map(ft::orbslam3::local_map_request const& r) override {
+  ft::orbslam3::points_in_view search_local_map(ft::orbslam3::search_request const& r) override {
     on_call("search_local_map");
-    sent.slots += r.slots_changed ? r.points : 0;
+    sent.slots += r.slots_changed ? r.inputs.slots : 0;
     return to_->search_local_map(r);
   }
   int local_matches() override {
@@ -98,7 +98,7 @@ public:
     on_call("optimize_pose");
     return to_->optimize_pose(b, T);
   }
-  int search_keyframe(ft::orbslam3::keyframe_search_request const& r) override {
+  int search_keyframe(ft::orbslam3::search_request const& r) override {
     on_call("search_keyframe");
     return to_->search_keyframe(r);
   }

@@ -196,7 +196,10 @@ public:
     stage_timer const timer(sums(stage::search_by_bow));
     std::vector<map_point*> const points = keyframe.GetMapPointMatches();
     if (!put_word_search(*device_, keyframe, frame, points)) { return call_refused; }
-    word_matches const found = device_->search_by_words({ratio, orientation_check});
+    words_search_params params;
+    params.ratio = ratio;
+    params.orientation_check = orientation_check;
+    word_matches const found = device_->search_by_words(params);
     matches.assign(static_cast<std::size_t>(frame.mDescriptors.rows), nullptr);
     for (std::size_t i = 0; i < matches.size(); ++i) {
       int const from = found.match[i];

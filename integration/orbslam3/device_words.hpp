@@ -145,16 +145,13 @@ public:
   word_arrays& arrays(word_side which) { return of(which).staged; }
 
   /// Searches what arrays() hold. Waits. @throws bad_argument, cuda_error
-  word_matches search(word_search_request const& r) {
+  word_matches search(words_search_params const& params) {
     side const& keyframe = of(word_side::keyframe);
     side const& frame = of(word_side::frame);
     check(keyframe.staged);
     check(frame.staged);
     int const n = frame.staged.keypoints;
     if (n == 0) { return {}; }
-    words_search_params params;
-    params.ratio = r.ratio;
-    params.orientation_check = r.orientation_check;
     word_matches_view out = matches_;
     out.capacity = n;
     this->call([&](auto& up) { send(up); },

@@ -234,8 +234,8 @@ public:
   bool has_vocabulary() const override { return bags_.loaded(); }
   word_lists transform_words(descriptor_rows const& rows) override { return bags_.transform(rows); }
   word_arrays& words_of(word_side side) override { return word_search_.arrays(side); }
-  word_matches search_by_words(word_search_request const& request) override {
-    return word_search_.search(request);
+  word_matches search_by_words(words_search_params const& params) override {
+    return word_search_.search(params);
   }
 
 private:

@@ -265,11 +265,6 @@ struct word_arrays {
   int* keypoint = nullptr;        ///< each at most once
 };
 
-struct word_search_request {
-  float ratio = 0.75f;  ///< limit of the best distance over the second best one, left camera
-  bool orientation_check = true;
-};
-
 struct word_matches {
   int count = 0;               ///< keypoints of the frame that are matched
   int const* match = nullptr;  ///< [keypoints of the frame] the keyframe's holder, -1 = none
@@ -372,7 +367,7 @@ public:
   virtual word_lists transform_words(descriptor_rows const& rows) = 0;
   /// What the next search_by_words() reads: up to cameras() * capacity() keypoints.
   virtual word_arrays& words_of(word_side side) = 0;
-  virtual word_matches search_by_words(word_search_request const& request) = 0;
+  virtual word_matches search_by_words(words_search_params const& params) = 0;
 };
 
 }  // namespace ft::orbslam3

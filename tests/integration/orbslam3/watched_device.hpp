@@ -120,7 +120,7 @@ public:
   ft::orbslam3::word_arrays& words_of(ft::orbslam3::word_side side) override {
     return to_->words_of(side);
   }
-  ft::orbslam3::word_matches search_by_words(ft::orbslam3::word_search_request const& r) override {
+  ft::orbslam3::word_matches search_by_words(ft::words_search_params const& r) override {
     on_call("search_by_words");
     return to_->search_by_words(r);
   }

@@ -8,9 +8,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
-#include <utility>
 
-#include "ft/core/cuda_handles.hpp"
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/recording.hpp"
@@ -36,8 +34,9 @@ class executor_tracker : public device_tracker {
 
 public:
   /// Allocates all memory, waits. @throws bad_argument naming the setting
-  executor_tracker(Exec exec, settings const& s)
-      : exec_(std::move(exec)),
+  executor_tracker(Exec const& beside, settings const& s)
+      : stream_(beside),
+        exec_(stream_.exec()),
         settings_(checked<Rig>(s)),
         helpers_(helper_threads::chosen(s.helpers)),
         extraction_(exec_, rig_of<Rig>(s), s, helpers_),
@@ -255,6 +254,7 @@ private:
     in_flight_ = false;
   }
 
+  own_stream<Exec> stream_;
   Exec exec_;
   word_mover<Exec> up_;
   thread_device<Exec> device_;
@@ -274,38 +274,27 @@ private:
   int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
 
-/// The tracker for the kind of cameras in the settings.
+/// The tracker for the kind of cameras in the settings; on a device with a stream of its own.
 template <typename Exec>
-std::unique_ptr<device_tracker> make_tracker_on(Exec const& exec, settings const& s) {
+std::unique_ptr<device_tracker> make_tracker_beside(Exec const& beside, settings const& s) {
   if (s.left.kind == lens::pinhole) {
-    return std::make_unique<executor_tracker<Exec, rectified_rig>>(exec, s);
+    return std::make_unique<executor_tracker<Exec, rectified_rig>>(beside, s);
   }
-  return std::make_unique<executor_tracker<Exec, fisheye_rig>>(exec, s);
+  return std::make_unique<executor_tracker<Exec, fisheye_rig>>(beside, s);
 }
 
 /// For machines without a GPU, and for tests.
 /// @param threads as in host_exec; 0 = all
 /// @throws bad_argument for invalid settings
 inline std::unique_ptr<device_tracker> make_host_tracker(settings const& s, int threads = 0) {
-  return make_tracker_on(host_exec(threads), s);
+  return make_tracker_beside(host_exec(threads), s);
 }
 
 #if defined(__CUDACC__)
-/// The stream is declared first, so that it is destroyed last.
-template <typename Rig>
-class streaming_tracker final : stream, public executor_tracker<cuda_exec, Rig> {
-public:
-  explicit streaming_tracker(settings const& s)
-      : executor_tracker<cuda_exec, Rig>(cuda_exec(stream::get()), s) {}
-};
-
-/// On the current device, with a stream of its own. make_tracker_on() takes one of the caller.
-/// @throws bad_argument for invalid settings, cuda_error without a device or memory
+/// On the current device. @throws bad_argument for invalid settings, cuda_error without a device or
+/// memory
 inline std::unique_ptr<device_tracker> make_cuda_tracker(settings const& s) {
-  if (s.left.kind == lens::pinhole) {
-    return std::make_unique<streaming_tracker<rectified_rig>>(s);
-  }
-  return std::make_unique<streaming_tracker<fisheye_rig>>(s);
+  return make_tracker_beside(cuda_exec(nullptr), s);
 }
 #endif
 

@@ -24,7 +24,7 @@
 
 namespace ft::orbslam3 {
 
-/// Reads map points through their own locked functions. With hooks, a thread of the mirror does so
+/// Reads map points under their own locks. With hooks, a thread of the mirror does so
 /// while tracking does other work, also for points that tracking has not met yet; it makes room for
 /// more as well. Each call of tracking, from begin_call() to flush(), reads the remaining ones.
 ///

@@ -1,15 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The fields of a map point on the device: read through the point's own functions, noted for
+/// @file The fields of a map point on the device: read under the point's own locks, noted for
 /// the next upload.
 #pragma once
 
 #include <algorithm>
 #include <atomic>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <limits>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -20,52 +18,15 @@
 
 namespace ft::orbslam3 {
 
-/// The float near scaled / factor whose product with `factor` is `scaled`; without one, that
-/// quotient.
-///
-/// MapPoint returns its distance limits times 0.8f and 1.2f. Range tests multiply again and get
-/// exactly these values. Two adjacent limits may have the same product (for 1.2f, where it passes a
-/// power of two; the lower limit is taken). So the result is the stored limit or its neighbour: at
-/// most 2^-23 off.
-inline float unscaled(float scaled, float factor) {
-  float const quotient = scaled / factor;
-  if (!std::isfinite(quotient)) { return quotient; }
-  float candidate = quotient;
-  for (int step = 0; step < 2; ++step) {
-    candidate = std::nextafter(candidate, -std::numeric_limits<float>::infinity());
-  }
-  for (int step = 0; step < 5; ++step) {
-    float const product = candidate * factor;
-    if (product == scaled) { return candidate; }
-    candidate = std::nextafter(candidate, std::numeric_limits<float>::infinity());
-  }
-  return quotient;
-}
-
-/// The limit that octaves are predicted from, which MapPoint returns only as a product: one float
-/// beside it gives another octave where limit / distance is a power of the scale factor, as it is
-/// for a camera that stands still. A derived class may name the protected members.
+/// The limits of distance that a MapPoint stores; it shows them multiplied, and two adjacent floats
+/// may have the same product. A derived class may name the protected members.
 template <typename MapPoint>
-class stored_limit : MapPoint {
-public:
-  /// @param shown GetMaxDistanceInvariance()
-  static float of(MapPoint& p, float shown) { return of<stored_limit>(p, shown, 0); }
-
-private:
-  template <typename Self>
-  static auto of(MapPoint& p, float shown, int)
-      -> decltype(static_cast<void>(&Self::mMutexPos), p.*(&Self::mfMaxDistance) * 1.0f) {
-    float stored = 0;
-    {
-      std::lock_guard<std::mutex> const lock(p.*(&Self::mMutexPos));
-      stored = p.*(&Self::mfMaxDistance);
-    }
-    return 1.2f * stored == shown ? stored : unscaled(shown, 1.2f);
-  }
-  /// A system whose map points have other members.
-  template <typename Self>
-  static float of(MapPoint& /*p*/, float shown, long) {
-    return unscaled(shown, 1.2f);
+struct stored_limits : MapPoint {
+  /// @param limits lowest and highest distance, metres
+  static void read(MapPoint& p, float (&limits)[2]) {
+    std::lock_guard<std::mutex> const lock(p.*(&stored_limits::mMutexPos));
+    limits[0] = p.*(&stored_limits::mfMinDistance);
+    limits[1] = p.*(&stored_limits::mfMaxDistance);
   }
 };
 
@@ -93,14 +54,14 @@ bool differ(T const& a, T const& b) {
   return std::memcmp(&a, &b, sizeof a) != 0;
 }
 
-/// Reads a point by the functions that the system's own code calls, each with its lock.
+/// Reads a point by the functions that the system's own code calls, each with its lock, and its
+/// stored limits.
 /// @param f previous values, or zeros @return whether the point is bad
 template <typename MapPoint>
 bool read_fields(MapPoint& p, point_fields& f) {
   f.position = vec3_from_eigen(p.GetWorldPos());
   f.normal = vec3_from_eigen(p.GetNormal());
-  f.limits[0] = unscaled(p.GetMinDistanceInvariance(), 0.8f);
-  f.limits[1] = stored_limit<MapPoint>::of(p, p.GetMaxDistanceInvariance());
+  stored_limits<MapPoint>::read(p, f.limits);
   auto const descriptor = p.GetDescriptor();
   if (descriptor.rows * descriptor.cols == 32) {
     std::memcpy(f.descriptor, descriptor.data, sizeof f.descriptor);

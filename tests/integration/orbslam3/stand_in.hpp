@@ -116,7 +116,7 @@ public:
   }
   float GetMinDistanceInvariance() {
     std::lock_guard<std::mutex> const lock(mMutexPos);
-    return 0.8f * min_distance_;
+    return 0.8f * mfMinDistance;
   }
   float GetMaxDistanceInvariance() {
     std::lock_guard<std::mutex> const lock(mMutexPos);
@@ -162,7 +162,7 @@ public:
     {
       std::lock_guard<std::mutex> const lock(mMutexPos);
       normal_ = normal;
-      min_distance_ = min_distance;
+      mfMinDistance = min_distance;
       mfMaxDistance = max_distance;
     }
     changed();
@@ -207,6 +207,7 @@ public:
   }
 
 protected:
+  float mfMinDistance = 0;
   float mfMaxDistance = 0;
   std::mutex mMutexPos;
 
@@ -218,7 +219,6 @@ private:
   std::mutex features_mutex_;
   Eigen::Vector3f position_ = Eigen::Vector3f::Zero();
   Eigen::Vector3f normal_ = Eigen::Vector3f::Zero();
-  float min_distance_ = 0;
   matrix descriptor_;
   int observations_ = 1;
   int visible_ = 1;

@@ -180,7 +180,6 @@ public:
     search.geometry = c.geometry;
     search.params.window_radius = r.window;
     search.params.ignore_motion_direction = r.ignore_motion_direction;
-    search.params.orientation_check = settings_.orientation_check;
     search.params.reference_quirks = settings_.reference_quirks;
     search.params.min_x = r.image.min_x;
     search.params.min_y = r.image.min_y;
@@ -198,7 +197,7 @@ public:
     search.keyframe = {keyframe.keypoints, 2, searched, keyframe.holder};
     search.frustum = frustum_of(r.image);
     search.geometry = c.geometry;
-    search.params = {r.window, r.max_hamming, settings_.orientation_check};
+    search.params = {r.window, r.max_hamming};
     local_->buffers.windows.capacity = searched * keypoints_;
     ft::search_keyframe(exec, search, c.frame, c.map, local_->buffers);
   }

@@ -98,7 +98,6 @@ public:
       auto& descriptors = c == 0 ? frame.mDescriptors : frame.mDescriptorsRight;
       keypoints.resize(room);
       descriptors.create(static_cast<int>(room), 32, grey_type);
-      touch(descriptors.data, room * static_cast<std::size_t>(descriptors.step));
     }
     frame.mvKeysUn.resize(frame.mvKeys.size());
     frame.mvKeysUn.clear();  // keeps the memory
@@ -281,11 +280,6 @@ private:
     bool checked = false;      ///< positions and stereo are equal to the frame's
   };
 
-  /// Writes to each page of new memory, so that the system provides it now.
-  static void touch(unsigned char* memory, std::size_t bytes) {
-    constexpr std::size_t page = 4096;
-    for (std::size_t at = 0; at < bytes; at += page) { memory[at] = 0; }
-  }
   template <typename Keypoint>
   void fill_keypoints(frame_arrays const& a, int image, std::vector<Keypoint>& keypoints) const {
     int const n = a.count[image];

@@ -56,7 +56,6 @@ struct settings : orb_params {
   /// with the left one's model, and it searches points rejected in this frame at their positions in
   /// an earlier frame.
   bool reference_quirks = true;
-  bool orientation_check = true;  ///< of the searches from the last frame and a keyframe
   /// Levels of the vocabulary above the deepest one at which keypoints are grouped, 0 to 10.
   int levels_up = 4;
 };

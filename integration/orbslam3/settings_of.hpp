@@ -112,15 +112,6 @@ struct extractor_parameters {
   std::string vocabulary = {};  ///< the file given to System, for front_end; empty: none
 };
 
-/// System::eSensor without the inertial variants; Tracking keeps it as mSensor.
-enum class sensor_kind { monocular, stereo, rgbd };
-
-/// @throws bad_argument for a number other than the six
-inline sensor_kind sensor_of(int number) {
-  detail::require_range("sensor", number, 0, 5);  // the inertial ones follow in the same order
-  return static_cast<sensor_kind>(number % 3);
-}
-
 /// Tracking's mpCamera, mpCamera2 and mTlr. The last two are used only for two fisheye cameras.
 template <typename Camera, typename Pose>
 struct tracking_cameras {
@@ -149,15 +140,17 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
   s.ini_threshold = features.ini_threshold;
   s.min_threshold = features.min_threshold;
   s.left = parameters_of(*cameras.left);
-  sensor_kind const kind = sensor_of(sensor);
-  s.images = kind == sensor_kind::stereo ? 2 : 1;
-  if (kind == sensor_kind::monocular) {
+  detail::require_range("sensor", sensor, 0, 5);
+  // Monocular, stereo, RGB-D; those with an IMU follow in the same order.
+  bool const stereo = sensor % 3 == 1;
+  s.images = stereo ? 2 : 1;
+  if (sensor % 3 == 0) {
     s.most_keypoints =
         6 * features.features;  // initial frames, extracted by the CPU, have five times as many
     return s;
   }
   s.bf = bf;
-  if (kind == sensor_kind::rgbd || s.left.kind == lens::pinhole) { return s; }
+  if (!stereo || s.left.kind == lens::pinhole) { return s; }
   detail::require(cameras.right != nullptr, "a fisheye pair needs its second camera");
   s.right = parameters_of(*cameras.right);
   s.T_rl = transform_of(cameras.T_lr.inverse());

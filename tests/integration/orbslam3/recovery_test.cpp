@@ -68,17 +68,6 @@ TEST_P(recovery, searches_a_keyframes_points_as_plain_loops_do) {
   EXPECT_GT(kept, 300);
 }
 
-TEST_P(recovery, search_drops_matches_that_turn_otherwise_only_if_it_is_asked_to) {
-  lost_frame v(sensor::stereo);
-  auto other = v.settings;
-  other.orientation_check = false;
-  auto free = v.frame;
-  accelerator checks(make(v.settings), v.settings);
-  accelerator takes_all(make(other), other);
-  int const n = checks.search_keyframe(v.frame, v.keyframe, point_set{}, 10, 100);
-  EXPECT_GT(takes_all.search_keyframe(free, v.keyframe, point_set{}, 10, 100), n + 5);
-}
-
 /// Mapping moves points and marks them bad; a keyframe with fewer keypoints follows.
 TEST_P(recovery, searches_anew_in_every_call) {
   lost_frame v(sensor::stereo);

@@ -14,7 +14,7 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/keypoints.hpp"
 #include "ft/descriptors/binary_descriptor.hpp"
-#include "ft/descriptors/search_distance.hpp"
+#include "ft/descriptors/descriptor_model.hpp"
 #include "ft/descriptors/vector_descriptor.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/own_descriptor/units.hpp"

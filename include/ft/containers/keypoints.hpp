@@ -12,7 +12,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/group.hpp"
 #include "ft/descriptors/binary_descriptor.hpp"
-#include "ft/descriptors/search_distance.hpp"
+#include "ft/descriptors/descriptor_model.hpp"
 
 namespace ft {
 inline namespace FT_ABI {

@@ -17,10 +17,10 @@
 #include "integration/orbslam3/front_end.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/heard.hpp"
-#include "tests/integration/orbslam3/lost_frame.hpp"
 #include "tests/integration/orbslam3/plain_recovery.hpp"
 #include "tests/integration/orbslam3/scene.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/two_views.hpp"
 #include "tests/integration/orbslam3/watched_device.hpp"
 
 namespace orbslam3_test {

@@ -12,9 +12,9 @@
 #include "integration/orbslam3/front_end.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/heard.hpp"
-#include "tests/integration/orbslam3/lost_frame.hpp"
 #include "tests/integration/orbslam3/plain_recovery.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/two_views.hpp"
 
 namespace orbslam3_test {
 

@@ -17,11 +17,11 @@
 #include "integration/orbslam3/front_end.hpp"
 #include "tests/integration/orbslam3/backends.hpp"
 #include "tests/integration/orbslam3/heard.hpp"
-#include "tests/integration/orbslam3/lost_frame.hpp"
 #include "tests/integration/orbslam3/plain_recovery.hpp"
 #include "tests/integration/orbslam3/plain_words.hpp"
 #include "tests/integration/orbslam3/pose_solver.hpp"
 #include "tests/integration/orbslam3/stand_in.hpp"
+#include "tests/integration/orbslam3/two_views.hpp"
 #include "tests/support/plain_vocabulary.hpp"
 
 namespace orbslam3_test {

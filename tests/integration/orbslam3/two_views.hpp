@@ -2,8 +2,12 @@
 /// @file A keyframe and a frame of a random scene.
 #pragma once
 
+#include <algorithm>
+#include <cstddef>
 #include <memory>
 
+#include "ft/containers/image_pyramid.hpp"
+#include "integration/orbslam3/frame_fields.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 #include "tests/integration/orbslam3/constructors.hpp"
 #include "tests/integration/orbslam3/plain_words.hpp"
@@ -39,6 +43,22 @@ struct two_views {
   void transform(plain_words const& by) {
     by.transform(frame, settings.levels_up);
     by.transform(keyframe, settings.levels_up);
+  }
+};
+
+/// Its frame is to be relocalised with the keyframe.
+struct lost_frame : two_views {
+  explicit lost_frame(sensor kind, unsigned seed = 3) : two_views(kind, seed) {
+    auto const& s = settings;
+    ft::orbslam3::fill_scale_tables(
+        ft::pyramid_geometry::make(s.width, s.height, s.levels, s.scale_factor), s.scale_factor,
+        frame);
+  }
+  /// Keypoints that hold a point.
+  int held() const {
+    auto const& all = frame.mvpMapPoints;
+    return static_cast<int>(all.size() -
+                            static_cast<std::size_t>(std::count(all.begin(), all.end(), nullptr)));
   }
 };
 

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/stamps.hpp"
 #include "examples/sequence/detail/text.hpp"
 #include "examples/sequence/reader.hpp"
@@ -33,12 +34,7 @@ char const* lens_name(camera_intrinsics const& camera) {
 }
 
 std::string layout_line(sequence const& s) {
-  std::string const& name = s.layout();
-  std::string const known = name == "euroc"   ? "EuRoC (ASL)"
-                            : name == "kitti" ? "KITTI odometry"
-                            : name == "tum"   ? "TUM RGB-D"
-                                              : "folders of images";
-  return s.name() + ", " + known + "; calibration " +
+  return s.name() + ", " + detail::title_of(s.layout()) + "; calibration " +
          std::filesystem::path(s.source().calibration).filename().string();
 }
 

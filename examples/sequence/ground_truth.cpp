@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <cmath>
 #include <string>
 #include <vector>
 
@@ -39,6 +40,21 @@ trajectory read_euroc_truth(std::string const& path, std::vector<std::string>& w
   return taken;
 }
 
+/// A pose of 12 numbers, 3x4 row-major. @throws seq::error naming file and line
+Eigen::Isometry3d pose_of_rows(double const* values, std::string const& path, int line) {
+  Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor> const> const m(values);
+  Eigen::Matrix3d const R = m.leftCols<3>();
+  double const residual = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
+  if (!(residual <= 0.02) || !(R.determinant() > 0)) {
+    fail_at(path, line,
+            "not a rotation: |R R^T - I| = " + to_text(residual) + ", at most 0.02 allowed");
+  }
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  pose.linear() = Eigen::Quaterniond(R).normalized().toRotationMatrix();
+  pose.translation() = m.col(3);
+  return pose;
+}
+
 /// KITTI poses.txt: 12 numbers a frame, 3x4 row-major; one line for each of `times`.
 trajectory read_kitti_poses(std::string const& path, std::vector<std::int64_t> const& times) {
   trajectory poses;
@@ -48,20 +64,11 @@ trajectory read_kitti_poses(std::string const& path, std::vector<std::int64_t> c
     if (words.size() != 12) {
       fail_at(path, line.number, std::to_string(words.size()) + " numbers, must have 12");
     }
-    Eigen::Matrix<double, 3, 4> m;
-    for (int i = 0; i < 12; ++i) {
-      m(i / 4, i % 4) = finite_number(words[static_cast<std::size_t>(i)], path, line.number);
-    }
-    Eigen::Matrix3d const R = m.leftCols<3>();
-    double const residual = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
-    if (!(residual <= 0.02) || !(R.determinant() > 0)) {
-      fail_at(path, line.number,
-              "not a rotation: |R R^T - I| = " + to_text(residual) + ", at most 0.02 allowed");
-    }
     stamped_pose pose;
     if (poses.size() < times.size()) { pose.time_ns = times[poses.size()]; }
-    pose.T_world_camera.linear() = Eigen::Quaterniond(R).normalized().toRotationMatrix();
-    pose.T_world_camera.translation() = m.col(3);
+    double m[12];
+    for (std::size_t i = 0; i < 12; ++i) { m[i] = finite_number(words[i], path, line.number); }
+    pose.T_world_camera = pose_of_rows(m, path, line.number);
     poses.push_back(pose);
   }
   if (poses.size() != times.size()) {
@@ -76,6 +83,43 @@ trajectory read_kitti_poses(std::string const& path, std::vector<std::int64_t> c
     taken.push_back(poses[i]);
   }
   return taken;
+}
+
+/// 7-Scenes: a file a frame, 4x4 row-major, camera to world. Frames whose tracking had failed have
+/// numbers that are not finite, and are left out.
+trajectory read_pose_files(std::vector<listed_image> const& files,
+                           std::vector<std::string>& warnings) {
+  trajectory poses;
+  std::size_t failed = 0;
+  for (listed_image const& file : files) {
+    std::vector<double> values;
+    int last = 1;
+    for (text_line const& line : read_lines(file.file)) {
+      for (std::string const& word : split(line.text, " \t", true)) {
+        double value = 0;
+        if (!to_number(word, value)) {
+          fail_at(file.file, line.number, "'" + word + "' is not a number");
+        }
+        values.push_back(value);
+        last = line.number;
+      }
+    }
+    if (values.size() != 16) {
+      throw error(file.file + ": " + std::to_string(values.size()) +
+                  " numbers, must have 16: a 4x4 matrix, camera to world, metres");
+    }
+    if (!std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); })) {
+      ++failed;
+      continue;
+    }
+    poses.push_back({file.time_ns, pose_of_rows(values.data(), file.file, last)});
+  }
+  if (failed > 0) {
+    warnings.push_back("ground truth: " + std::to_string(failed) + " of " +
+                       std::to_string(files.size()) +
+                       " poses left out, whose numbers are not finite");
+  }
+  return poses;
 }
 
 bool any_rotation(trajectory const& poses) {
@@ -108,6 +152,9 @@ raw_ground_truth find_ground_truth(layout_of_files const& layout,
   } else if (is_file(kitti) || is_file(beside)) {
     truth.poses = read_kitti_poses(is_file(kitti) ? kitti : beside, layout.times);
     truth.of = raw_ground_truth::kitti_reference;
+    truth.orientation = any_rotation(truth.poses);
+  } else if (!layout.poses.empty()) {
+    truth.poses = read_pose_files(layout.poses, warnings);
     truth.orientation = any_rotation(truth.poses);
   }
   return truth;

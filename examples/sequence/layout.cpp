@@ -184,8 +184,8 @@ namespace {
 
 constexpr char const* accepted_folders =
     "folders with mav0/cam0 or cam0/data.csv (EuRoC), image_0 or image_2 (KITTI), rgb.txt or "
-    "associations.txt (TUM RGB-D), or images (left and right, cam0 and cam1, or in the folder "
-    "itself)";
+    "associations.txt (TUM RGB-D), frame-000000.color.png with frame-000000.depth.png (7-Scenes), "
+    "or images (left and right, cam0 and cam1, or in the folder itself)";
 constexpr char const* bags_and_videos =
     "; bags (.bag, .db3, .mcap) and videos are read by python -m ft track";
 
@@ -194,11 +194,20 @@ constexpr char const* bags_and_videos =
 void refuse_depths(layout_of_files const& layout) {
   throw error(layout.root.string() +
               ": no depth images; accepted are rgb.txt with depth.txt, or associations.txt (TUM "
-              "RGB-D), and with --rig mixed (rig=\"mixed\") depth0 beside cam0, depth1 ...");
+              "RGB-D), frame-000000.color.png with frame-000000.depth.png (7-Scenes), and with "
+              "--rig mixed (rig=\"mixed\") depth0 beside cam0, depth1 ...");
 }
 
 void refuse_pair(std::string const& what) {
   throw error(what + ": not a stereo sequence; --rig mono (rig=\"mono\") takes one camera");
+}
+
+char const* title_of(std::string const& layout) {
+  return layout == "euroc"     ? "EuRoC (ASL)"
+         : layout == "kitti"   ? "KITTI odometry"
+         : layout == "tum"     ? "TUM RGB-D"
+         : layout == "7scenes" ? "7-Scenes"
+                               : "folders of images";
 }
 
 layout_of_files find_layout(std::string const& directory, open_options const& options) {
@@ -236,6 +245,9 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
   } else if (has_file("rgb.txt") || has_file("associations.txt")) {
     l.name = "tum";
     find_tum_frames(l, options);
+  } else if (has_scene_frames(l.root)) {
+    l.name = "7scenes";
+    find_scene_frames(l, options);
   } else if (plain) {
     l.name = "folders";
     l.left_camera = has("image_2") && !has("image_0") ? 2 : 0;
@@ -244,7 +256,8 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
     throw error(directory + ": no sequence found; accepted are " + accepted_folders +
                 bags_and_videos);
   }
-  if (given && l.name != "folders") {
+  bool const rate = l.counted && options.fps > 0;
+  if (given && l.name != "folders" && !rate) {
     throw error(directory + ": " + (options.fps > 0 ? "fps" : "times") +
                 ": the images of the layout " + l.name + " have times of their own");
   }

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <optional>
 #include <set>
 #include <system_error>
@@ -52,7 +53,28 @@ std::optional<std::int64_t> counter_of(named_image const& image) {
   return std::stoll(image.number);
 }
 
+/// Two images whose names differ in letters alone are of two cameras, or colour and depth: taken as
+/// one camera's they would alternate. @throws seq::error
+void check_numbers(std::vector<named_image> const& images, fs::path const& folder) {
+  std::map<std::string, std::string> found;  // the digits of a name
+  for (named_image const& image : images) {
+    std::string const name = fs::path(image.file).filename().string();
+    std::string digits = fs::path(image.file).stem().string();
+    if (image.number.empty()) { continue; }
+    std::replace_if(
+        digits.begin(), digits.end(), [](char c) { return !is_digit(c); }, ' ');
+    digits = trim(digits);
+    auto const [place, added] = found.emplace(digits, name);
+    if (added) { continue; }
+    throw error(folder.string() + ": " + place->second + " and " + name +
+                " have one number; accepted are one image of each number in a folder, a folder for "
+                "each camera (left and right, cam0 and cam1), and frame-000000.color.png with "
+                "frame-000000.depth.png (7-Scenes)");
+  }
+}
+
 /// The images of a folder, by their numbers where each has one of its own, else by name.
+/// @throws seq::error for two of one number
 std::vector<named_image> list_images(fs::path const& folder) {
   std::vector<named_image> images;
   std::error_code failure;
@@ -61,6 +83,7 @@ std::vector<named_image> list_images(fs::path const& folder) {
     if (!has_image_extension(it->path()) || !is_file(it->path().string())) { continue; }
     images.push_back({it->path().string(), number_in(it->path().stem().string())});
   }
+  check_numbers(images, folder);
   std::set<std::int64_t> numbers;
   for (named_image const& image : images) {
     if (auto const n = counter_of(image)) { numbers.insert(*n); }

@@ -33,6 +33,7 @@ struct sequence::impl {
   bool has_body_frame = false;
   int image_bits = 16;
   double depth_unit = 0;
+  std::uint16_t no_depth = 0;
   std::string depth_unit_from;
   std::optional<rectifier> rectify;
   std::vector<detail::frame_files> frames;
@@ -73,8 +74,11 @@ depth_image no_depths(camera_intrinsics const& camera) {
   return {camera.width, camera.height, std::vector<std::uint16_t>(pixels)};
 }
 
-depth_image read_checked_depth(std::string const& path, camera_intrinsics const& camera) {
+/// @param none a depth that means none, beside 0
+depth_image read_checked_depth(std::string const& path, camera_intrinsics const& camera,
+                               std::uint16_t none) {
   depth_image depth = read_depth_image(path);
+  if (none != 0) { std::replace(depth.pixels.begin(), depth.pixels.end(), none, std::uint16_t{0}); }
   if (depth.width != camera.width || depth.height != camera.height) {
     throw error(path + ": depth image is " + detail::size_text(depth.width, depth.height) +
                 " pixels, the camera's images " + detail::size_text(camera.width, camera.height) +
@@ -178,7 +182,7 @@ void sequence::impl::set_depth_unit(layout_of_files const& files, calibration co
   detail::depth_unit unit = detail::depth_unit_of(files, calib, options);
   auto const check = [&](std::string const& first, camera_intrinsics const& camera,
                          double baseline) {
-    check_depths(read_checked_depth(first, camera), unit, first, baseline, warnings);
+    check_depths(read_checked_depth(first, camera, no_depth), unit, first, baseline, warnings);
   };
   if (!mixed) { check(files.frames.front().second, raw.left, rig.baseline()); }
   for (std::size_t k = 0; k < raw.depth_cameras.size(); ++k) {
@@ -241,6 +245,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
   p->name = files.root.filename().string();
   p->layout = files.name;
   p->kind = files.kind;
+  p->no_depth = files.no_depth;
   p->warnings = std::move(files.warnings);
   p->warnings.insert(p->warnings.end(), calib.warnings.begin(), calib.warnings.end());
   p->settings = calib.settings;
@@ -322,11 +327,12 @@ stereo_frame sequence::load(int i) const {
                                : read_checked(files.more[k], camera, impl_->image_bits));
     }
     for (std::string const& depth : files.depths) {  // all cameras have one size
-      frame.depths.push_back(depth.empty() ? no_depths(impl_->raw.left)
-                                           : read_checked_depth(depth, impl_->raw.left));
+      frame.depths.push_back(depth.empty()
+                                 ? no_depths(impl_->raw.left)
+                                 : read_checked_depth(depth, impl_->raw.left, impl_->no_depth));
     }
   } else if (impl_->kind == camera_kind::rgbd) {
-    frame.depth = read_checked_depth(files.second, impl_->raw.left);
+    frame.depth = read_checked_depth(files.second, impl_->raw.left, impl_->no_depth);
     if (rectify) { frame.depth = moved(frame.depth, rectify->left_map()); }
   }
   return frame;

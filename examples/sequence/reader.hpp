@@ -2,8 +2,8 @@
 /// @file Opens a sequence on disk: a rig of cameras, a pair or one, in EuRoC's (ASL) or KITTI
 /// odometry's layout (image_0 and image_1, or without them the colour images image_2 and image_3),
 /// or a camera with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt),
-/// or plain folders of images (left and right, or one). Depth images of a rig's camera cam2 are in
-/// depth2 beside it.
+/// or in that of 7-Scenes, or plain folders of images (left and right, or one). Depth images of a
+/// rig's camera cam2 are in depth2 beside it.
 #pragma once
 
 #include <cstdint>
@@ -65,8 +65,8 @@ struct open_options {
   /// Bits that hold the samples of 16-bit images of one channel, 8 to 16; 0 = 16, with a warning
   /// where up to eight images of each camera have none of 2^14 or more. Depth images have all 16.
   int image_bits = 0;
-  /// Images a second, 1e-3 to 1e5, of plain folders whose file names are no times; 0 = the names,
-  /// or the file that has the times, say it.
+  /// Images a second, 1e-3 to 1e5, of plain folders whose file names are no times, and of 7-Scenes;
+  /// 0 = the names, or the file that has the times, say it; 7-Scenes has 30.
   double fps = 0;
   /// Of plain folders: file with a time for each image, a line each, in seconds with a decimal
   /// point or in whole nano-, micro- or milliseconds. Empty = times.txt or timestamps.txt, if it is
@@ -107,8 +107,9 @@ public:
   sequence& operator=(sequence&&) noexcept;
   ~sequence();
 
-  std::string const& name() const;    ///< the folder's name
-  std::string const& layout() const;  ///< "euroc", "kitti", "tum" or "folders"
+  std::string const& name() const;  ///< the folder's name
+  /// "euroc", "kitti", "tum", "7scenes" or "folders"
+  std::string const& layout() const;
   recording_source const& source() const;
   camera_kind kind() const;  ///< stereo, mono or rgbd
   /// The rig of the frames that load() returns: pinholes, rectified for a pair, or with fisheye()

@@ -54,6 +54,9 @@ depth_unit depth_unit_of(layout_of_files const& layout, calibration const& calib
                          open_options const& options) {
   if (options.depth_unit > 0) { return {options.depth_unit, "as asked for"}; }
   if (calib.depth_unit) { return {*calib.depth_unit, "as the calibration says"}; }
+  if (layout.depth_unit > 0) {
+    return {layout.depth_unit, std::string("as ") + title_of(layout.name) + " has it"};
+  }
   return {usual_depth_unit, "assumed, as TUM RGB-D has it: the calibration says nothing", true,
           layout.of_tum};
 }

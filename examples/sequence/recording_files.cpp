@@ -43,6 +43,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// What is known of a calibration that is not there, for its message.
+std::string published_calibration(layout_of_files const& l) {
+  if (l.name != "7scenes") { return {}; }
+  return "; for the Kinect of 7-Scenes, which was not calibrated, 585 585 320 240 are published";
+}
+
 /// The calibration in the sequence's folder. @param width,height of its images
 calibration own_calibration(layout_of_files const& l, camera_kind kind, int width, int height,
                             std::string& path) {
@@ -64,7 +70,8 @@ calibration own_calibration(layout_of_files const& l, camera_kind kind, int widt
     return read_calibration(path, width, height, l.left_camera, kind);
   }
   bool const one = !is_pair(kind);
-  if ((l.name == "tum" || (folders && one)) && there(l.root / "camera.txt")) {
+  bool const lists = l.name == "tum" || l.name == "7scenes";
+  if ((lists || (folders && one)) && there(l.root / "camera.txt")) {
     return read_camera_txt(path, width, height, kind);
   }
   std::string const missing = path;
@@ -75,7 +82,7 @@ calibration own_calibration(layout_of_files const& l, camera_kind kind, int widt
   }
   throw missing_calibration(
       (folders ? l.root.string() + ": holds no calibration" : missing + ": no such file") + "; " +
-      accepted_calibrations);
+      accepted_calibrations + published_calibration(l));
 }
 
 }  // namespace

@@ -37,7 +37,7 @@ struct camera_images {
 };
 
 struct layout_of_files {
-  std::string name;  ///< "euroc", "kitti", "tum" or "folders"
+  std::string name;  ///< that of sequence::layout()
   std::filesystem::path root;
   std::filesystem::path mav0;  ///< EuRoC only
   int left_camera = 0;         ///< number of KITTI's left camera
@@ -47,9 +47,13 @@ struct layout_of_files {
   std::vector<camera_images> more;    ///< cameras beside the pair, cam2 ...
   std::vector<camera_images> depths;  ///< of a mixed rig, depth0 ...
   unpaired_images unpaired;
-  std::string stamps_from;    ///< for people: which file, or the names
-  std::string second_folder;  ///< for people: where images of a second camera would be
-  bool of_tum = false;        ///< a recording of the TUM RGB-D benchmark itself
+  std::string stamps_from;          ///< for people: which file, or the names
+  std::string second_folder;        ///< for people: where images of a second camera would be
+  bool of_tum = false;              ///< a recording of the TUM RGB-D benchmark itself
+  bool counted = false;             ///< its frames have numbers: open_options::fps is its rate
+  double depth_unit = 0;            ///< metres, that all recordings of the layout have; 0 = none
+  std::uint16_t no_depth = 0;       ///< a depth that means none, beside 0
+  std::vector<listed_image> poses;  ///< files of the frames' poses, camera to world
   std::vector<std::string> warnings;
 };
 
@@ -60,6 +64,9 @@ constexpr std::int64_t most_to_depth_ns = 20'000'000;
 /// Recognises the layout and lists the frames. @throws seq::error
 layout_of_files find_layout(std::string const& directory, open_options const& options);
 
+/// The name of a layout, for people.
+char const* title_of(std::string const& layout);
+
 // Its parts: they fill kind, times, frames, unpaired and warnings of a layout whose root is known.
 
 /// Depth images were asked for, and there are none. @throws seq::error that says what is accepted
@@ -69,6 +76,10 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
 void find_euroc_frames(layout_of_files& layout, open_options const& options);
 void find_kitti_frames(layout_of_files& layout, open_options const& options);
 void find_tum_frames(layout_of_files& layout, open_options const& options);
+/// @pre has_scene_frames(layout.root)
+void find_scene_frames(layout_of_files& layout, open_options const& options);
+/// Whether there are images named as those of 7-Scenes, frame-000000.color.png.
+bool has_scene_frames(std::filesystem::path const& root);
 /// Of plain folders: left and right (or cam0 and cam1, image_0 and image_1 ...), or one of images.
 /// @pre has_image_folders(layout.root)
 void find_folder_frames(layout_of_files& layout, open_options const& options);

@@ -29,7 +29,7 @@ struct depth_unit {
   bool camera_txt = true;      ///< a camera.txt may say it
 };
 
-/// That which was asked for, that of the calibration, or else the one of TUM RGB-D.
+/// That which was asked for, that of the calibration, of the layout, or else the one of TUM RGB-D.
 depth_unit depth_unit_of(layout_of_files const& layout, calibration const& calib,
                          open_options const& options);
 

@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Layouts of known data sets, as they are when they are downloaded.
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <cstdio>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "examples/sequence/image_io.hpp"
+#include "examples/sequence/reader.hpp"
+#include "tests/support/sequence.hpp"
+
+namespace reader_layouts_test {
+
+namespace fs = std::filesystem;
+using seq_test::contains;
+using seq_test::message_of;
+using seq_test::put;
+using seq_test::temp_folder;
+using seq_test::times_of;
+
+using time_list = std::vector<std::int64_t>;
+
+std::string refusal_of(std::string const& folder, seq::open_options const& options = {}) {
+  return message_of([&] { seq::sequence::open(folder, options); });
+}
+
+seq::open_options as(seq::camera_kind kind) {
+  seq::open_options options;
+  options.rig = kind;
+  return options;
+}
+
+/// A depth image of 64 x 48 pixels, all of one value but the first.
+void put_depth(temp_folder const& folder, std::string const& name, std::uint16_t value,
+               std::uint16_t first) {
+  fs::create_directories(fs::path(folder.path(name)).parent_path());
+  seq::depth_image depth{64, 48, std::vector<std::uint16_t>(64 * 48, value)};
+  depth.pixels[0] = first;
+  seq::write_depth_png(folder.path(name), depth);
+}
+
+/// "frame-000012", as 7-Scenes names it.
+std::string scene_frame(int number) {
+  char text[32];
+  std::snprintf(text, sizeof text, "frame-%06d", number);
+  return text;
+}
+
+void write_scene(temp_folder const& folder) {
+  folder.write("camera.txt", "58.5 58.5 32 24\n");
+  for (int i : {0, 1, 2, 4}) {
+    std::string const name = scene_frame(i);
+    put(folder, name + ".color.png", i);
+    put_depth(folder, name + ".depth.png", 1500, 65535);
+    // A quarter turn about z: the camera's x is the world's y.
+    folder.write(name + ".pose.txt",
+                 "0 -1 0 " + std::to_string(i) + " \n1 0 0 0.5\n0 0 1 -2\n0 0 0 1\n");
+  }
+}
+
+TEST(reader_seven_scenes, colour_depth_and_poses_go_together) {
+  temp_folder const folder;
+  write_scene(folder);
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.layout(), "7scenes");
+  EXPECT_EQ(s.kind(), seq::camera_kind::rgbd);
+  ASSERT_EQ(times_of(s), (time_list{0, 33'333'333, 66'666'667, 133'333'333}));
+  EXPECT_EQ(s.depth_unit(), 0.001);
+  EXPECT_EQ(s.depth_unit_from(), "as 7-Scenes has it");
+  seq::stereo_frame const last = s.load(3);
+  EXPECT_EQ(last.left.pixels[0], 4);
+  EXPECT_EQ(last.depth.pixels[0], 0);  // 65535
+  EXPECT_EQ(last.depth.pixels[1], 1500);
+  ASSERT_EQ(s.ground_truth().size(), 4U);
+  EXPECT_EQ(s.ground_truth()[3].time_ns, s.time_ns(3));
+  Eigen::Vector3d const x(1, 0, 0);
+  EXPECT_LT((s.ground_truth()[3].T_world_camera * x - Eigen::Vector3d(4, 1.5, -2)).norm(), 1e-12);
+  ASSERT_EQ(s.warnings().size(), 1U);
+  EXPECT_TRUE(contains(s.warnings()[0], "30 images a second are assumed")) << s.warnings()[0];
+  EXPECT_TRUE(contains(seq::describe(s)[0].text, "7-Scenes; calibration camera.txt"));
+
+  seq::open_options options;
+  options.fps = 10;
+  EXPECT_EQ(times_of(seq::sequence::open(folder.path(), options)).back(), 400'000'000);
+  EXPECT_TRUE(seq::sequence::open(folder.path(), options).warnings().empty());
+  EXPECT_EQ(seq::sequence::open(folder.path(), as(seq::camera_kind::mono)).kind(),
+            seq::camera_kind::mono);
+  options.fps = 0;
+  options.times = folder.write("elsewhere/stamps.txt", "0\n1\n2\n3\n");
+  EXPECT_TRUE(contains(refusal_of(folder.path(), options), "times of their own"));
+}
+
+TEST(reader_seven_scenes, says_what_is_missing_or_wrong) {
+  temp_folder const folder;
+  write_scene(folder);
+  fs::remove(folder.path("frame-000001.depth.png"));
+  fs::remove(folder.path("frame-000002.color.png"));
+  folder.write("frame-000004.pose.txt", "nan 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(times_of(s), (time_list{0, 133'333'333}));
+  EXPECT_EQ(s.unpaired().left, 1);
+  EXPECT_EQ(s.unpaired().right, 1);
+  EXPECT_EQ(s.ground_truth().size(), 3U);
+  ASSERT_EQ(s.warnings().size(), 2U);
+  EXPECT_TRUE(contains(s.warnings()[1], "1 of 4 poses left out")) << s.warnings()[1];
+
+  folder.write("frame-000004.pose.txt", "1 0 0\n");
+  EXPECT_TRUE(contains(refusal_of(folder.path()), "3 numbers, must have 16"));
+  folder.write("frame-000004.pose.txt", "2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
+  EXPECT_TRUE(contains(refusal_of(folder.path()), "frame-000004.pose.txt:4: not a rotation"));
+  folder.write("frame-000004.pose.txt", "x 0 0 0\n");
+  EXPECT_TRUE(contains(refusal_of(folder.path()), "'x' is not a number"));
+  fs::remove(folder.path("frame-000004.pose.txt"));
+  EXPECT_TRUE(
+      contains(refusal_of(folder.path(), as(seq::camera_kind::stereo)), "no second camera"));
+  seq::write_png(folder.path("other-0.color.png"), {64, 48, std::vector<std::uint8_t>(64 * 48)});
+  EXPECT_TRUE(contains(refusal_of(folder.path()), "same frame number"));
+  fs::remove(folder.path("other-0.color.png"));
+  fs::remove(folder.path("camera.txt"));
+  std::string const missing = refusal_of(folder.path());
+  EXPECT_TRUE(contains(missing, "accepted are Kalibr's")) << missing;
+  EXPECT_TRUE(contains(missing, "585 585 320 240")) << missing;
+  for (int i : {0, 4}) { fs::remove(folder.path(scene_frame(i) + ".depth.png")); }
+  fs::remove(folder.path("frame-000002.depth.png"));
+  EXPECT_TRUE(contains(refusal_of(folder.path(), as(seq::camera_kind::rgbd)), "7-Scenes"));
+}
+
+TEST(reader_folders, one_number_of_two_images_is_refused) {
+  seq::open_options options;
+  options.fps = 30;
+  for (auto const& [a, b] : std::vector<std::pair<std::string, std::string>>{
+           {"rgb_0001.png", "depth_0001.png"},
+           {"left 12.png", "right 12.png"},
+           {"1305031102.1753_rgb.png", "1305031102.1753_d.png"}}) {
+    temp_folder const folder;
+    folder.write("camera.txt", "40 40 32 24\n");
+    put(folder, "images/" + a, 1);
+    put(folder, "images/" + b, 2);
+    for (double const fps : {30.0, 0.0}) {
+      options.fps = fps;
+      std::string const message = refusal_of(folder.path(), options);
+      EXPECT_TRUE(contains(message, "have one number")) << message;
+      EXPECT_TRUE(contains(message, "accepted are one image of each number")) << message;
+    }
+  }
+  temp_folder const folder;  // dates, then what tells images apart
+  folder.write("camera.txt", "40 40 32 24\n");
+  put(folder, "images/20230101_120000_7.png", 1);
+  put(folder, "images/20230101_120000_8.png", 2);
+  options.fps = 30;
+  EXPECT_EQ(seq::sequence::open(folder.path(), options).size(), 2);
+}
+
+}  // namespace reader_layouts_test

@@ -86,6 +86,10 @@ calibration read_orb_slam3_settings(std::string const& path, int width = 0, int 
 calibration read_camera_txt(std::string const& path, int width, int height,
                             camera_kind kind = camera_kind::rgbd);
 
+/// The calibration that the TUM RGB-D benchmark publishes of its cameras freiburg1, 2 and 3, whose
+/// recordings hold none; with a warning that says so. @param camera 1 to 3 @param kind mono or rgbd
+calibration published_tum_calibration(int camera, camera_kind kind = camera_kind::rgbd);
+
 /// Kalibr's chain: `cam0`, `cam1` with camera_model (pinhole, omni, ds, eucm), intrinsics,
 /// distortion_model (radtan, equidistant, none), distortion_coeffs, resolution, T_cn_cnm1 (maps
 /// cam0 points into cam1), and with an IMU T_cam_imu (or OpenVINS's T_imu_cam) and

@@ -76,4 +76,24 @@ calibration read_camera_txt(std::string const& path, int width, int height, came
   return result;
 }
 
+calibration published_tum_calibration(int camera, camera_kind kind) {
+  // https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats, "Calibration of the color
+  // camera": fx, fy, cx, cy, then k1, k2, p1, p2, k3. The depth images are registered to the colour
+  // images, and their scale is corrected already. Images of freiburg3 are undistorted.
+  constexpr double published[3][9] = {
+      {517.3, 516.5, 318.6, 255.3, 0.2624, -0.9531, -0.0054, 0.0026, 1.1633},
+      {520.9, 521.0, 325.1, 249.7, 0.2312, -0.7849, -0.0033, -0.0001, 0.9172},
+      {535.4, 539.2, 320.1, 247.6, 0, 0, 0, 0, 0}};
+  double const(&v)[9] = published[camera - 1];
+  calibration result;
+  result.rig.left = {lens::radial_tangential, 640, 480, v[0], v[1], v[2], v[3], {v + 4, v + 9}};
+  drop_zero_distortion(result.rig.left);
+  set_one_camera(result.rig, kind);
+  result.warnings.push_back(
+      "the recording holds no calibration: the one that TUM publishes of freiburg" +
+      std::to_string(camera) +
+      " is taken, by the recording's name; a camera.txt, or --calibration, says another");
+  return result;
+}
+
 }  // namespace seq

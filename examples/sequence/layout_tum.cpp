@@ -97,15 +97,23 @@ void read_associations(std::string const& path, std::int64_t most_ns, layout_of_
 }
 
 /// Whether the recording is one of the benchmark itself, by its folder or a comment of its lists.
-bool is_of_tum(fs::path const& root) {
+/// @param camera gets the number of its camera
+bool is_of_tum(fs::path const& root, int& camera) {
   std::string const name = "rgbd_dataset_freiburg";
-  if (root.filename().string().find(name) != std::string::npos) { return true; }
+  auto const named = [&](std::string const& text) {
+    std::size_t const at = text.find(name);
+    if (at == std::string::npos) { return false; }
+    std::size_t const digit = at + name.size();
+    camera = digit < text.size() && is_digit(text[digit]) ? text[digit] - '0' : 0;
+    return true;
+  };
+  if (named(root.filename().string())) { return true; }
   for (char const* list : {"rgb.txt", "depth.txt"}) {
     std::string const path = (root / list).string();
     if (!is_file(path)) { continue; }
     for (text_line const& line : read_lines(path)) {
       if (!is_blank_or_comment(line.text)) { break; }
-      if (line.text.find(name) != std::string::npos) { return true; }
+      if (named(line.text)) { return true; }
     }
   }
   return false;
@@ -126,7 +134,7 @@ void find_tum_frames(layout_of_files& layout, open_options const& options) {
         ": no such file, nor associations.txt: tracked as one camera, without depth images; "
         "--rig mono (rig=\"mono\") says that it is meant so");
   }
-  layout.of_tum = is_of_tum(layout.root);
+  layout.of_tum = is_of_tum(layout.root, layout.freiburg);
   layout.stamps_from = is_file(path("rgb.txt")) ? "rgb.txt" : "associations.txt";
   layout.kind = depth && options.rig != camera_kind::mono ? camera_kind::rgbd : camera_kind::mono;
   std::int64_t const most = options.max_time_difference_ns.value_or(most_to_depth_ns);

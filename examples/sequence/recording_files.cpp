@@ -80,6 +80,10 @@ calibration own_calibration(layout_of_files const& l, camera_kind kind, int widt
     path = folder.empty() ? std::string() : find_calibration_file(folder.string());
     if (!path.empty()) { return read_calibration(path, width, height, l.left_camera, kind); }
   }
+  if (l.freiburg >= 1 && l.freiburg <= 3) {
+    path = "of freiburg" + std::to_string(l.freiburg) + ", as TUM publishes it";
+    return published_tum_calibration(l.freiburg, kind);
+  }
   throw missing_calibration(
       (folders ? l.root.string() + ": holds no calibration" : missing + ": no such file") + "; " +
       accepted_calibrations + published_calibration(l));

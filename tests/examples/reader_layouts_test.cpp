@@ -128,6 +128,64 @@ TEST(reader_seven_scenes, says_what_is_missing_or_wrong) {
   EXPECT_TRUE(contains(refusal_of(folder.path(), as(seq::camera_kind::rgbd)), "7-Scenes"));
 }
 
+/// A recording of the TUM RGB-D benchmark, of two frames, in a folder of that name.
+std::string write_benchmark(temp_folder const& parent, std::string const& name) {
+  std::string rgb = "# color images\n# file: 'x.bag'\n# timestamp filename\n";
+  std::string depth = "# depth maps\n";
+  for (int i = 0; i < 2; ++i) {
+    std::string const file = "130503110" + std::to_string(i) + ".175304.png";
+    fs::create_directories(parent.path(name + "/rgb"));
+    seq::write_png(parent.path(name + "/rgb/" + file),
+                   {640, 480, std::vector<std::uint8_t>(640 * 480, 50)});
+    fs::create_directories(parent.path(name + "/depth"));
+    seq::write_depth_png(parent.path(name + "/depth/" + file),
+                         {640, 480, std::vector<std::uint16_t>(640 * 480, 10000)});
+    rgb += "130503110" + std::to_string(i) + ".175304 rgb/" + file + "\n";
+    depth += "130503110" + std::to_string(i) + ".160407 depth/" + file + "\n";
+  }
+  parent.write(name + "/rgb.txt", rgb);
+  parent.write(name + "/depth.txt", depth);
+  parent.write(name + "/accelerometer.txt", "# timestamp ax ay az\n1305031100.1 0 0 9.81\n");
+  parent.write(name + "/groundtruth.txt",
+               "1305031100.1758 1.3 0.6 1.6 0.6132 0.5962 -0.3311 -0.3986\n");
+  return parent.path(name);
+}
+
+TEST(reader_tum, the_benchmarks_own_recordings_have_its_calibration) {
+  temp_folder const folder;
+  struct camera_case {
+    std::string name;
+    double fx, cy;
+    seq::lens model;
+  };
+  for (camera_case const& c :
+       {camera_case{"rgbd_dataset_freiburg1_xyz", 517.3, 255.3, seq::lens::radial_tangential},
+        camera_case{"rgbd_dataset_freiburg2_desk", 520.9, 249.7, seq::lens::radial_tangential},
+        camera_case{"rgbd_dataset_freiburg3_long_office_household", 535.4, 247.6,
+                    seq::lens::pinhole}}) {
+    std::string const at = write_benchmark(folder, c.name);
+    seq::sequence const s = seq::sequence::open(at);
+    EXPECT_EQ(s.kind(), seq::camera_kind::rgbd);
+    EXPECT_EQ(s.raw_rig().left.fx, c.fx);
+    EXPECT_EQ(s.raw_rig().left.cy, c.cy);
+    EXPECT_EQ(s.raw_rig().left.model, c.model);
+    if (c.model == seq::lens::radial_tangential) {
+      EXPECT_EQ(s.raw_rig().left.distortion.size(), 5U);
+    }
+    ASSERT_EQ(s.warnings().size(), 1U);
+    EXPECT_TRUE(contains(s.warnings()[0], "TUM publishes of freiburg" + c.name.substr(21, 1)))
+        << s.warnings()[0];
+    EXPECT_TRUE(contains(seq::describe(s)[0].text, "as TUM publishes it"));
+    folder.write(c.name + "/camera.txt", "500 500 320 240\n");
+    EXPECT_EQ(seq::sequence::open(at).raw_rig().left.fx, 500);
+    EXPECT_TRUE(seq::sequence::open(at).warnings().empty());
+  }
+  for (char const* other : {"desk", "rgbd_dataset_freiburg4_desk", "rgbd_dataset_freiburg"}) {
+    std::string const refused = refusal_of(write_benchmark(folder, other));
+    EXPECT_TRUE(contains(refused, "camera.txt: no such file; accepted are Kalibr's")) << refused;
+  }
+}
+
 TEST(reader_folders, one_number_of_two_images_is_refused) {
   seq::open_options options;
   options.fps = 30;

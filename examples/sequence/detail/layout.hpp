@@ -50,6 +50,7 @@ struct layout_of_files {
   std::string stamps_from;          ///< for people: which file, or the names
   std::string second_folder;        ///< for people: where images of a second camera would be
   bool of_tum = false;              ///< a recording of the TUM RGB-D benchmark itself
+  int freiburg = 0;                 ///< number of that benchmark's camera; 0 = none
   bool counted = false;             ///< its frames have numbers: open_options::fps is its rate
   double depth_unit = 0;            ///< metres, that all recordings of the layout have; 0 = none
   std::uint16_t no_depth = 0;       ///< a depth that means none, beside 0

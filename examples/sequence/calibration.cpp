@@ -6,6 +6,7 @@
 
 #include "examples/sequence/detail/calibration_files.hpp"
 #include "examples/sequence/detail/text.hpp"
+#include "examples/sequence/detail/yaml_file.hpp"
 
 namespace seq {
 namespace {
@@ -31,11 +32,38 @@ std::string find_mav0(std::string const& path) {
 
 namespace {
 
+/// Formats that are recognised by one key, which files of other programs have, too.
+calibration read_keyed(std::string const& path, int width, int height, camera_kind kind,
+                       detail::calibration_format format) {
+  using detail::calibration_format;
+  try {
+    return format == calibration_format::kalibr ? read_kalibr_calibration(path, kind)
+           : format == calibration_format::basalt
+               ? read_basalt_calibration(path, kind)
+               : read_depthai_calibration(path, width, height, kind);
+  } catch (detail::missing_key const& e) {
+    throw error(std::string(e.what()) + "; " + accepted_calibrations);
+  }
+}
+
+/// @throws seq::error that says which formats there are, also for a file that cannot be read
+detail::calibration_format known_format(std::string const& path) {
+  detail::calibration_format format = detail::calibration_format::unknown;
+  try {
+    format = detail::format_of(path);
+  } catch (error const& e) { throw error(std::string(e.what()) + "; " + accepted_calibrations); }
+  if (format == detail::calibration_format::unknown) {
+    throw error(path + ": not a calibration that is known; " + accepted_calibrations);
+  }
+  return format;
+}
+
 /// @param path of a file
 calibration read_file(std::string const& path, int width, int height, int left_camera,
                       camera_kind kind) {
   using detail::calibration_format;
-  switch (detail::format_of(path)) {
+  calibration_format const format = known_format(path);
+  switch (format) {
     case calibration_format::kitti:
       return read_kitti_calibration(path, width, height, left_camera, kind);
     case calibration_format::camera_txt:
@@ -44,15 +72,13 @@ calibration read_file(std::string const& path, int width, int height, int left_c
       }
       return read_camera_txt(path, width, height, kind);
     case calibration_format::kalibr:
-      return read_kalibr_calibration(path, kind);
     case calibration_format::basalt:
-      return read_basalt_calibration(path, kind);
+    case calibration_format::depthai:
+      return read_keyed(path, width, height, kind, format);
     case calibration_format::colmap:
       return read_colmap_calibration(path, kind);
     case calibration_format::realsense:
       return read_realsense_calibration(path, width, height, kind);
-    case calibration_format::depthai:
-      return read_depthai_calibration(path, width, height, kind);
     case calibration_format::opencv:
     case calibration_format::extrinsics:
       return read_opencv_calibration(path, width, height, kind);
@@ -61,9 +87,9 @@ calibration read_file(std::string const& path, int width, int height, int left_c
     case calibration_format::euroc:
       throw error(path + ": one camera's sensor.yaml: name the folder that holds cam0 and cam1");
     case calibration_format::unknown:
-      break;
+      break;  // refused above
   }
-  throw error(path + ": not a calibration that is known; " + accepted_calibrations);
+  return {};
 }
 
 }  // namespace

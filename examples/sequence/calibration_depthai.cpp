@@ -12,6 +12,7 @@
 #include "examples/sequence/detail/calibration_checks.hpp"
 #include "examples/sequence/detail/calibration_files.hpp"
 #include "examples/sequence/detail/text.hpp"
+#include "examples/sequence/detail/yaml_file.hpp"
 
 namespace seq {
 namespace {
@@ -219,7 +220,7 @@ calibration read_depthai_calibration(std::string const& path, int width, int hei
   std::ifstream in(path, std::ios::binary);
   try {
     return read(json::parse(in), path, width, height, kind);
-  } catch (json::exception const& e) { throw error(path + ": " + e.what()); }
+  } catch (json::exception const& e) { throw missing_key(path + ": " + e.what()); }
 }
 
 }  // namespace seq

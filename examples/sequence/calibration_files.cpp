@@ -146,7 +146,8 @@ std::string find_calibration_file(std::string const& folder) {
     for (auto const& [name, path] : found) {
       all += (all.empty() ? "" : ", ") + fs::path(path).filename().string();
     }
-    throw error(folder + ": several calibrations: " + all + "; name one (--calibration)");
+    throw error(folder + ": several calibrations: " + all + "; name one (--calibration); " +
+                accepted_calibrations);
   }
   return found.empty() ? std::string() : found.begin()->second;
 }

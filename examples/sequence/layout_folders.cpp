@@ -23,6 +23,10 @@ struct named_image {
   std::string number;
 };
 
+constexpr char const* accepted_times =
+    "accepted is a line for each image: seconds with a decimal point, or whole seconds, milli-, "
+    "micro- or nanoseconds";
+
 /// The longest number in a text, of equal ones the last; with its decimal part.
 std::string number_in(std::string const& text) {
   std::string longest;
@@ -142,6 +146,15 @@ std::vector<std::int64_t> times_of(std::vector<std::pair<int, std::string>> cons
   return seconds ? values : whole_times(values, path, unit, warnings);
 }
 
+/// Those of a file. @throws seq::error that says what is accepted
+std::vector<std::int64_t> times_of_lines(std::vector<std::pair<int, std::string>> const& lines,
+                                         std::string const& path, std::string& unit,
+                                         std::vector<std::string>& warnings) {
+  try {
+    return times_of(lines, path, unit, warnings);
+  } catch (error const& e) { throw error(std::string(e.what()) + "; " + accepted_times); }
+}
+
 /// The file with the times of the images; empty without any.
 std::string find_times(fs::path const& root, fs::path const& left) {
   for (fs::path const& folder : {root, left, left.parent_path()}) {
@@ -221,7 +234,7 @@ std::vector<std::int64_t> frame_times(std::vector<std::int64_t> const& numbers,
                 std::to_string(numbers.size()) + " images");
   }
   std::string unit;
-  std::vector<std::int64_t> const all = times_of(lines, path, unit, layout.warnings);
+  std::vector<std::int64_t> const all = times_of_lines(lines, path, unit, layout.warnings);
   for (std::size_t i = 0; i < numbers.size(); ++i) {
     times.push_back(all[by_order ? i : static_cast<std::size_t>(numbers[i])]);
   }

@@ -35,7 +35,11 @@ std::vector<std::int64_t> read_times(std::string const& path) {
   std::vector<std::int64_t> times;
   for (text_line const& line : read_lines(path)) {
     if (is_blank_or_comment(line.text)) { continue; }
-    times.push_back(seconds_to_ns(line.text, path, line.number));
+    try {
+      times.push_back(seconds_to_ns(line.text, path, line.number));
+    } catch (error const& e) {
+      throw error(std::string(e.what()) + "; accepted is a line for each image: seconds");
+    }
   }
   return times;
 }

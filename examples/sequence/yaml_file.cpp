@@ -101,7 +101,7 @@ yaml_file yaml_file::part(std::string const& key, std::size_t index) const {
   YAML::Node const list = required(key);
   std::string const name = key + "[" + std::to_string(index) + "]";
   if (!list.IsSequence() || index >= list.size()) {
-    throw error(path_ + ": " + name + " is missing");
+    throw missing_key(path_ + ": " + name + " is missing");
   }
   yaml_file inner(path_ + ": " + name, list[index]);
   inner.check_map();
@@ -212,7 +212,7 @@ YAML::Node yaml_file::find(std::string const& key) const {
 }
 
 YAML::Node yaml_file::required(std::string const& key) const {
-  if (!has(key)) { throw error(path_ + ": " + key + " is missing"); }
+  if (!has(key)) { throw missing_key(path_ + ": " + key + " is missing"); }
   return find(key);
 }
 

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "examples/sequence/calibration.hpp"
 #include "examples/sequence/image_io.hpp"
 #include "examples/sequence/reader.hpp"
 #include "tests/support/sequence.hpp"
@@ -188,6 +189,91 @@ TEST(RecordingChecks, AWordAmongTheNumbersOfACameraIsNamed) {
   options.calibration = folder.write("mine.txt", "no camera at all\n");
   EXPECT_TRUE(contains(message_of([&] { seq::sequence::open(folder.path(), options); }),
                        "no 'key: value' pairs"));
+}
+
+/// What a person may have in place of a recording or a calibration, and what the refusal names.
+struct refused_case {
+  std::string file;  ///< that is written, with `text`; empty = none
+  std::string text;
+  std::string open;  ///< what is named
+  std::string accepted;
+};
+
+TEST(RecordingChecks, EveryRefusedCalibrationSaysWhatIsAccepted) {
+  std::string const all = "accepted are Kalibr's chain";
+  std::string const chain = "cam0:\n  camera_model: pinhole\n";
+  for (refused_case const& c :
+       std::vector<refused_case>{{"", "", "gone.yaml", all},
+                                 {"a.yaml", "", "a.yaml", all},
+                                 {"a.yaml", "one\n", "a.yaml", all},
+                                 {"a.yaml", "foo: 1\n", "a.yaml", all},
+                                 {"a.yaml", "foo: [1\n", "a.yaml", all},
+                                 {"a.yaml", "a: 1\na: 2\n", "a.yaml", all},
+                                 {"a.yaml", std::string("\x00\x01\x02", 3), "a.yaml", all},
+                                 {"a.yaml", "T_BS: 1\n", "a.yaml", all},
+                                 {"a.yaml", chain, "a.yaml", all},
+                                 {"a.xml", "<html></html>\n", "a.xml", all},
+                                 {"a.xml", "<a\n", "a.xml", all},
+                                 {"a.json", "{\"value0\": {\"T_i_c\": []}}\n", "a.json", all},
+                                 {"a.json", "{\"cameraData\": []}\n", "a.json", all},
+                                 {"a.json", "{\"foo\": ", "a.json", all},
+                                 {"folder/b.txt", "text\n", "folder", all},
+                                 {"folder/a.yaml", chain, "folder", all}}) {
+    temp_folder const folder;
+    if (!c.file.empty()) { folder.write(c.file, c.text); }
+    if (c.open == "folder" && c.text == chain) { folder.write("folder/b.yaml", chain); }
+    std::string const refused =
+        message_of([&] { seq::read_calibration(folder.path(c.open), 64, 48); });
+    EXPECT_TRUE(contains(refused, c.accepted)) << c.text << ": " << refused;
+    EXPECT_TRUE(contains(refused, folder.path(c.open))) << refused;
+  }
+}
+
+TEST(RecordingChecks, EveryRefusedFolderSaysWhatIsAccepted) {
+  std::string const layouts = "accepted are folders with mav0/cam0";
+  using kind = seq::camera_kind;
+  struct folder_case {
+    std::vector<std::string> images;
+    std::vector<std::pair<std::string, std::string>> files;
+    std::string open;
+    kind rig;
+    std::string accepted;
+  };
+  std::pair<std::string, std::string> const one = {"camera.txt", "40 40 32 24\n"};
+  std::string const depths = "accepted are rgb.txt with depth.txt";
+  for (folder_case const& c : std::vector<folder_case>{
+           {{}, {}, "gone", kind::any, layouts},
+           {{}, {{"a.avi", ""}}, "a.avi", kind::any, layouts},
+           {{}, {{"a.txt", ""}}, "", kind::any, layouts},
+           {{}, {{"mav0/a.txt", ""}}, "", kind::any, "accepted are cam0 alone"},
+           {{"1.png"}, {one}, "", kind::any, "a rate (--fps) or a file with times"},
+           {{"1.0.png"}, {}, "", kind::any, "accepted are Kalibr's chain"},
+           {{"1.0.png"}, {one}, "", kind::stereo, "--rig mono"},
+           {{"1.0.png"}, {one}, "", kind::mixed, "--rig mono"},
+           {{"1.0.png"}, {one}, "", kind::rgbd, depths},
+           {{"image_0/0.png"}, {one, {"times.txt", "noon\n"}}, "", kind::any, "accepted is a line"},
+           {{"image_0/0.png"}, {one, {"times.txt", "1.0\n"}}, "", kind::stereo, "--rig mono"},
+           {{"image_0/0.png"}, {one, {"times.txt", "1.0\n"}}, "", kind::rgbd, depths},
+           {{"0.png", "1.png"},
+            {one, {"times.txt", "noon\n9\n"}},
+            "",
+            kind::any,
+            "accepted is a line"},
+           {{"0.png", "1.png"},
+            {one, {"times.txt", "1.5\n9\n"}},
+            "",
+            kind::any,
+            "accepted is a line"},
+           {{"0.png"}, {one, {"rgb.txt", "1.0 0.png\n"}}, "", kind::rgbd, depths},
+           {{"0.png"}, {{"rgb.txt", "1.0 0.png\n"}}, "", kind::any, "accepted are Kalibr's chain"},
+           {{"0.color.png"}, {one}, "", kind::rgbd, depths}}) {
+    temp_folder const folder;
+    for (std::string const& image : c.images) { put(folder, image); }
+    for (auto const& [name, text] : c.files) { folder.write(name, text); }
+    std::string const at = c.open.empty() ? folder.path() : folder.path(c.open);
+    std::string const refused = message_of([&] { seq::sequence::open(at, as(c.rig)); });
+    EXPECT_TRUE(contains(refused, c.accepted)) << refused;
+  }
 }
 
 TEST(RecordingChecks, AnImuThatIsNotUsedIsAWarning) {

@@ -15,6 +15,11 @@
 
 namespace seq::detail {
 
+/// A key that is not there: the file may be another program's.
+struct missing_key : error {
+  using error::error;
+};
+
 /// A YAML, JSON or OpenCV XML file whose top level is a map. OpenCV's dialect is read as OpenCV
 /// reads it: a first line
 /// `%YAML:1.0` or `YAML:1.0`, `key:value` without a blank, and a comment right after a value

@@ -94,8 +94,8 @@ calibration published_tum_calibration(int camera, camera_kind kind = camera_kind
 /// distortion_model (radtan, equidistant, none), distortion_coeffs, resolution, T_cn_cnm1 (maps
 /// cam0 points into cam1), and with an IMU T_cam_imu (or OpenVINS's T_imu_cam) and
 /// timeshift_cam_imu. The IMU's noise is read from the imu.yaml that lies beside it (imu0.yaml,
-/// kalibr_imu_chain.yaml, or `imu` in place of `camchain-imucam` in its name). Key names are
-/// Kalibr's.
+/// kalibr_imu_chain.yaml, TUM-VI's imu_config.yaml, or `imu` in place of `camchain-imucam` in its
+/// name). Key names are Kalibr's.
 /// @throws seq::error
 calibration read_kalibr_calibration(std::string const& path,
                                     camera_kind kind = camera_kind::stereo);

@@ -97,7 +97,8 @@ bool read_mount(yaml_file const& camera, Eigen::Isometry3d& T_imu_camera) {
 
 /// The IMU's file that lies beside a chain: imu.yaml, or of the chain's name.
 std::string find_imu_file(fs::path const& chain) {
-  std::vector<std::string> names = {"imu.yaml", "imu0.yaml", "kalibr_imu_chain.yaml"};
+  std::vector<std::string> names = {"imu.yaml", "imu0.yaml", "kalibr_imu_chain.yaml",
+                                    "imu_config.yaml"};
   std::string const own = chain.filename().string();
   for (char const* part : {"camchain-imucam", "imucam_chain", "camchain", "imucam"}) {
     std::size_t const at = own.find(part);

@@ -76,7 +76,9 @@ calibration own_calibration(layout_of_files const& l, camera_kind kind, int widt
   }
   std::string const missing = path;
   bool const whole = l.mav0.empty() || l.mav0.filename() == "mav0";  // root is the recording's own
-  for (fs::path const& folder : {l.mav0, whole ? l.root : fs::path()}) {
+  // TUM-VI has Kalibr's chain in dso.
+  for (fs::path const& folder :
+       {l.mav0, whole ? l.root : fs::path(), whole ? l.root / "dso" : fs::path()}) {
     path = folder.empty() ? std::string() : find_calibration_file(folder.string());
     if (!path.empty()) { return read_calibration(path, width, height, l.left_camera, kind); }
   }

@@ -186,6 +186,57 @@ TEST(reader_tum, the_benchmarks_own_recordings_have_its_calibration) {
   }
 }
 
+TEST(reader_tum_vi, fisheye_of_16_bits_with_the_imu) {
+  temp_folder const folder;
+  constexpr std::int64_t first = 1'520'530'308'199'447'626;
+  for (std::string const camera : {"mav0/cam0/", "mav0/cam1/"}) {
+    std::string list = "#timestamp [ns],filename\n";
+    for (int i = 0; i < 3; ++i) {
+      std::string const time = std::to_string(first + i * 50'000'000LL);
+      put_depth(folder, camera + "data/" + time + ".png", 40'000,
+                static_cast<std::uint16_t>(256 * (200 + i) + 7));
+      list += time + "," + time + ".png\n";
+    }
+    folder.write(camera + "data.csv", list);
+  }
+  std::string samples = "#timestamp [ns],w,a\n";
+  std::string poses = "#timestamp [ns],p,q\n";
+  for (int i = 0; i < 30; ++i) {
+    std::string const time = std::to_string(first + i * 5'000'000LL);
+    samples += time + ",0,0,0,0,0,9.81\n";
+    poses += time + ",1,2,3,1,0,0,0\n";
+  }
+  folder.write("mav0/imu0/data.csv", samples);
+  folder.write("mav0/mocap0/data.csv", poses);
+  std::string const rows = "  - [0, 1, 0, 0]\n  - [0, 0, 1, 0]\n  - [0, 0, 0, 1]\n";
+  std::string const camera =
+      "  camera_model: pinhole\n  distortion_coeffs: [0.003, 0.0007, -0.002, 0.0002]\n"
+      "  distortion_model: equidistant\n  intrinsics: [19, 19, 32, 24]\n  resolution: [64, 48]\n";
+  folder.write("dso/camchain.yaml", "cam0:\n" + camera + "  T_cam_imu:\n  - [1, 0, 0, 0.05]\n" +
+                                        rows + "cam1:\n" + camera +
+                                        "  T_cam_imu:\n  - [1, 0, 0, -0.05]\n" + rows +
+                                        "  T_cn_cnm1:\n  - [1, 0, 0, -0.1]\n" + rows);
+  folder.write("dso/imu_config.yaml",
+               "rostopic: /imu0\nupdate_rate: 200.0\naccelerometer_noise_density: 0.0028\n"
+               "accelerometer_random_walk: 0.00086\ngyroscope_noise_density: 0.00016\n"
+               "gyroscope_random_walk: 0.000022\n");
+  seq::open_options options;
+  options.read_imu = true;
+  seq::sequence const s = seq::sequence::open(folder.path(), options);
+  EXPECT_EQ(s.kind(), seq::camera_kind::stereo);
+  EXPECT_TRUE(s.fisheye());
+  EXPECT_NEAR(s.rig().baseline(), 0.1, 1e-12);
+  EXPECT_EQ(s.load(2).right.pixels[0], 202);
+  EXPECT_EQ(s.load(2).left.pixels[1], 40'000 / 256);
+  EXPECT_EQ(s.warnings(), std::vector<std::string>{});
+  ASSERT_TRUE(s.imu());
+  EXPECT_EQ(s.imu()->samples.size(), 30U);
+  EXPECT_EQ(s.imu()->calibration.noise.gyro, 0.00016);
+  EXPECT_EQ(s.imu()->calibration.rate_hz, 200);
+  EXPECT_LT((s.imu()->T_imu_left.translation() - Eigen::Vector3d(-0.05, 0, 0)).norm(), 1e-12);
+  EXPECT_EQ(s.ground_truth().size(), 30U);
+}
+
 TEST(reader_folders, one_number_of_two_images_is_refused) {
   seq::open_options options;
   options.fps = 30;

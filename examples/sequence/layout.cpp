@@ -184,7 +184,8 @@ namespace {
 
 constexpr char const* accepted_folders =
     "folders with mav0/cam0 or cam0/data.csv (EuRoC), image_0 or image_2 (KITTI), rgb.txt or "
-    "associations.txt (TUM RGB-D), frame-000000.color.png with frame-000000.depth.png (7-Scenes), "
+    "associations.txt (TUM RGB-D), color.txt with aligned_depth.txt (OpenLORIS), "
+    "frame-000000.color.png with frame-000000.depth.png (7-Scenes), "
     "or images (left and right, cam0 and cam1, or in the folder itself)";
 constexpr char const* bags_and_videos =
     "; bags (.bag, .db3, .mcap) and videos are read by python -m ft track";
@@ -194,7 +195,8 @@ constexpr char const* bags_and_videos =
 void refuse_depths(layout_of_files const& layout) {
   throw error(layout.root.string() +
               ": no depth images; accepted are rgb.txt with depth.txt, or associations.txt (TUM "
-              "RGB-D), frame-000000.color.png with frame-000000.depth.png (7-Scenes), and with "
+              "RGB-D), color.txt with aligned_depth.txt (OpenLORIS), frame-000000.color.png with "
+              "frame-000000.depth.png (7-Scenes), and with "
               "--rig mixed (rig=\"mixed\") depth0 beside cam0, depth1 ...");
 }
 
@@ -203,11 +205,12 @@ void refuse_pair(std::string const& what) {
 }
 
 char const* title_of(std::string const& layout) {
-  return layout == "euroc"     ? "EuRoC (ASL)"
-         : layout == "kitti"   ? "KITTI odometry"
-         : layout == "tum"     ? "TUM RGB-D"
-         : layout == "7scenes" ? "7-Scenes"
-                               : "folders of images";
+  return layout == "euroc"       ? "EuRoC (ASL)"
+         : layout == "kitti"     ? "KITTI odometry"
+         : layout == "tum"       ? "TUM RGB-D"
+         : layout == "openloris" ? "OpenLORIS"
+         : layout == "7scenes"   ? "7-Scenes"
+                                 : "folders of images";
 }
 
 layout_of_files find_layout(std::string const& directory, open_options const& options) {
@@ -244,6 +247,9 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
     find_kitti_frames(l, options);
   } else if (has_file("rgb.txt") || has_file("associations.txt")) {
     l.name = "tum";
+    find_tum_frames(l, options);
+  } else if (has_file("color.txt") && has_file("aligned_depth.txt")) {
+    l.name = "openloris";
     find_tum_frames(l, options);
   } else if (has_scene_frames(l.root)) {
     l.name = "7scenes";

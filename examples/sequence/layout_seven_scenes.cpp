@@ -72,7 +72,8 @@ bool has_scene_frames(fs::path const& root) {
 
 void find_scene_frames(layout_of_files& layout, open_options const& options) {
   if (is_pair(options.rig)) {
-    throw error(layout.root.string() + ": the 7-Scenes layout has no second camera");
+    throw error(layout.root.string() + ": the layout " + title_of(layout.name) +
+                " has no second camera");
   }
   constexpr double usual_rate = 30;  // of the Kinect that has recorded them
   double const rate = options.fps > 0 ? options.fps : usual_rate;

@@ -30,8 +30,8 @@ std::vector<std::pair<int, std::vector<std::string>>> read_words(std::string con
   return lines;
 }
 
-/// rgb.txt or depth.txt
-std::vector<listed_image> read_list(fs::path const& root, char const* name,
+/// rgb.txt, depth.txt, or OpenLORIS' color.txt, aligned_depth.txt
+std::vector<listed_image> read_list(fs::path const& root, std::string const& name,
                                     std::vector<std::string>& warnings) {
   std::string const path = (root / name).string();
   std::vector<std::int64_t> times;
@@ -122,37 +122,43 @@ bool is_of_tum(fs::path const& root, int& camera) {
 }  // namespace
 
 void find_tum_frames(layout_of_files& layout, open_options const& options) {
-  auto const path = [&](char const* name) { return (layout.root / name).string(); };
+  auto const path = [&](std::string const& name) { return (layout.root / name).string(); };
   if (is_pair(options.rig)) {
-    throw error(layout.root.string() + ": the TUM RGB-D layout has no second camera");
+    throw error(layout.root.string() + ": the layout " + title_of(layout.name) +
+                " has no second camera");
   }
-  bool const depth = is_file(path("associations.txt")) || is_file(path("depth.txt"));
+  bool const loris = layout.name == "openloris";
+  std::string const colours = loris ? "color.txt" : "rgb.txt";
+  std::string const depths = loris ? "aligned_depth.txt" : "depth.txt";
+  std::string const both = loris ? std::string() : "associations.txt";
+  bool const has_both = !loris && is_file(path(both));
+  bool const depth = has_both || is_file(path(depths));
   if (options.rig == camera_kind::rgbd && !depth) { refuse_depths(layout); }
   if (options.rig == camera_kind::any && !depth) {
     layout.warnings.push_back(
-        path("depth.txt") +
+        path(depths) +
         ": no such file, nor associations.txt: tracked as one camera, without depth images; "
         "--rig mono (rig=\"mono\") says that it is meant so");
   }
-  layout.of_tum = is_of_tum(layout.root, layout.freiburg);
-  layout.stamps_from = is_file(path("rgb.txt")) ? "rgb.txt" : "associations.txt";
+  if (loris) { layout.depth_unit = 1e-3; }
+  layout.of_tum = !loris && is_of_tum(layout.root, layout.freiburg);
+  layout.stamps_from = is_file(path(colours)) ? colours : both;
   layout.kind = depth && options.rig != camera_kind::mono ? camera_kind::rgbd : camera_kind::mono;
   std::int64_t const most = options.max_time_difference_ns.value_or(most_to_depth_ns);
-  if (is_file(path("associations.txt")) &&
-      (layout.kind == camera_kind::rgbd || !is_file(path("rgb.txt")))) {
-    read_associations(path("associations.txt"), most, layout);
+  if (has_both && (layout.kind == camera_kind::rgbd || !is_file(path(colours)))) {
+    read_associations(path(both), most, layout);
     return;
   }
   two_lists lists;
-  lists.left = read_list(layout.root, "rgb.txt", layout.warnings);
-  lists.left_name = "rgb.txt";
+  lists.left = read_list(layout.root, colours, layout.warnings);
+  lists.left_name = colours;
   if (layout.kind == camera_kind::rgbd) {
-    lists.second = read_list(layout.root, "depth.txt", layout.warnings);
-    lists.second_name = "depth.txt";
+    lists.second = read_list(layout.root, depths, layout.warnings);
+    lists.second_name = depths;
     pair_frames(lists, most, layout);
     return;
   }
-  take_images(lists.left, path("rgb.txt"), layout);
+  take_images(lists.left, path(colours), layout);
 }
 
 }  // namespace seq::detail

@@ -2,8 +2,8 @@
 /// @file Opens a sequence on disk: a rig of cameras, a pair or one, in EuRoC's (ASL) or KITTI
 /// odometry's layout (image_0 and image_1, or without them the colour images image_2 and image_3),
 /// or a camera with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt),
-/// or in that of 7-Scenes, or plain folders of images (left and right, or one). Depth images of a
-/// rig's camera cam2 are in depth2 beside it.
+/// or in that of OpenLORIS or 7-Scenes, or plain folders of images (left and right, or one). Depth
+/// images of a rig's camera cam2 are in depth2 beside it.
 #pragma once
 
 #include <cstdint>
@@ -108,7 +108,7 @@ public:
   ~sequence();
 
   std::string const& name() const;  ///< the folder's name
-  /// "euroc", "kitti", "tum", "7scenes" or "folders"
+  /// "euroc", "kitti", "tum", "openloris", "7scenes" or "folders"
   std::string const& layout() const;
   recording_source const& source() const;
   camera_kind kind() const;  ///< stereo, mono or rgbd

@@ -70,8 +70,8 @@ calibration own_calibration(layout_of_files const& l, camera_kind kind, int widt
     return read_calibration(path, width, height, l.left_camera, kind);
   }
   bool const one = !is_pair(kind);
-  bool const lists = l.name == "tum" || l.name == "7scenes";
-  if ((lists || (folders && one)) && there(l.root / "camera.txt")) {
+  bool const of_depths = l.name == "tum" || l.name == "openloris" || l.name == "7scenes";
+  if ((of_depths || (folders && one)) && there(l.root / "camera.txt")) {
     return read_camera_txt(path, width, height, kind);
   }
   std::string const missing = path;
@@ -125,7 +125,9 @@ void check_second_camera(layout_of_files& files, open_options const& options,
                          calibration const& calib) {
   // A settings file of a camera with depth images has the baseline of a virtual pair.
   bool const by_itself = files.kind == camera_kind::mono && options.rig == camera_kind::any;
-  if (!by_itself || files.name == "tum" || calib.depth_unit) { return; }
+  if (!by_itself || files.name == "tum" || files.name == "openloris" || calib.depth_unit) {
+    return;
+  }
   camera_intrinsics const& left = calib.rig.left;
   try {
     std::string ignored;

@@ -237,6 +237,42 @@ TEST(reader_tum_vi, fisheye_of_16_bits_with_the_imu) {
   EXPECT_EQ(s.ground_truth().size(), 30U);
 }
 
+TEST(reader_open_loris, colour_and_aligned_depth) {
+  temp_folder const folder;
+  std::string colours = "#Time Path\n";
+  std::string depths = colours;
+  for (int i = 0; i < 3; ++i) {
+    std::string const time = "1560004885." + std::to_string(100 + 33 * i);
+    put(folder, "color/" + time + ".png", i);
+    put_depth(folder, "aligned_depth/" + time + ".png", 2000, 65535);
+    put_depth(folder, "depth/" + time + ".png", 9, 9);
+    colours += time + " color/" + time + ".png\n";
+    depths += time + " aligned_depth/" + time + ".png\n";
+  }
+  folder.write("color.txt", colours);
+  folder.write("aligned_depth.txt", depths);
+  folder.write("depth.txt", "1560004885.100 depth/1560004885.100.png\n");
+  folder.write("camera.txt", "40 40 32 24\n");
+  folder.write("groundtruth.txt", "1560004885.1 0 0 0 0 0 0 1\n");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.layout(), "openloris");
+  EXPECT_EQ(s.kind(), seq::camera_kind::rgbd);
+  ASSERT_EQ(s.size(), 3);
+  EXPECT_EQ(s.time_ns(1), 1'560'004'885'133'000'000);
+  EXPECT_EQ(s.load(2).left.pixels[0], 2);
+  EXPECT_EQ(s.load(2).depth.pixels[1], 2000);
+  EXPECT_EQ(s.depth_unit(), 0.001);
+  EXPECT_EQ(s.depth_unit_from(), "as OpenLORIS has it");
+  EXPECT_EQ(s.warnings(), std::vector<std::string>{});
+  EXPECT_EQ(s.ground_truth().size(), 1U);
+  EXPECT_EQ(seq::sequence::open(folder.path(), as(seq::camera_kind::mono)).kind(),
+            seq::camera_kind::mono);
+  EXPECT_TRUE(contains(refusal_of(folder.path(), as(seq::camera_kind::stereo)),
+                       "the layout OpenLORIS has no second camera"));
+  fs::remove(folder.path("camera.txt"));
+  EXPECT_TRUE(contains(refusal_of(folder.path()), "accepted are Kalibr's"));
+}
+
 TEST(reader_folders, one_number_of_two_images_is_refused) {
   seq::open_options options;
   options.fps = 30;

@@ -55,7 +55,8 @@ Eigen::Isometry3d read_euroc_body_frame(std::string const& mav0);
 imu_calibration read_euroc_imu_calibration(std::string const& path);
 
 /// KITTI: the lines "P0:" and "P1:" (or "P2:" and "P3:") of 12 numbers, 3x4 row-major projections
-/// of one reference frame.
+/// of one reference frame; or of KITTI raw's calib_cam_to_cam.txt "P_rect_00:" ..., with the IMU's
+/// place by calib_imu_to_velo.txt and calib_velo_to_cam.txt beside it.
 /// @param width,height the images' size, which the file does not give, pixels
 /// @param left_camera number of the left camera, 0 (grey) or 2 (colour)
 /// @param kind stereo, or mono: the left camera's line alone

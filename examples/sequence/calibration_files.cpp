@@ -44,6 +44,7 @@ calibration_format format_of(std::string const& path) {
     if (text.size() > 2 && text[0] == 'P' && text[1] >= '0' && text[1] <= '3' && text[2] == ':') {
       return calibration_format::kitti;
     }
+    if (text.compare(0, 8, "P_rect_0") == 0) { return calibration_format::kitti; }
     if (is_realsense_stream(text)) { return calibration_format::realsense; }
     if (is_blank_or_comment(text)) { continue; }
     if (!any && is_colmap_camera(text)) { return calibration_format::colmap; }
@@ -157,7 +158,8 @@ char const* const accepted_calibrations =
     "camera_matrix, distortion_coefficients; of a pair M1, D1, "
     "M2, D2, R, T), ROS camera_info (left.yaml, right.yaml), basalt's JSON (value0), what "
     "rs-enumerate-devices -c prints, DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, "
-    "ORB-SLAM3 settings, EuRoC's cam0/sensor.yaml, KITTI's calib.txt, and of one camera camera.txt "
+    "ORB-SLAM3 settings, EuRoC's cam0/sensor.yaml, KITTI's calib.txt or calib_cam_to_cam.txt, and "
+    "of one camera camera.txt "
     "(fx fy cx "
     "cy)";
 

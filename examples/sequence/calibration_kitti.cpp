@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "examples/sequence/detail/calibration_checks.hpp"
+#include "examples/sequence/detail/calibration_files.hpp"
+#include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/text.hpp"
 
 namespace seq {
@@ -39,6 +41,19 @@ camera_intrinsics from_projection(projection_matrix const& p, std::string const&
   return camera;
 }
 
+/// Says where images are not those that P_rect_0N is for: those of drives named _extract.
+void check_rectified_size(std::string const& path, int number, std::string const& text,
+                          std::string const& key, int width, int height) {
+  std::vector<std::string> const words = split(text, " \t", true);
+  if (words.size() != 2 || width == 0) { return; }
+  int const w = static_cast<int>(finite_number(words[0], path, number));
+  int const h = static_cast<int>(finite_number(words[1], path, number));
+  if (w == width && h == height) { return; }
+  fail_at(path, number,
+          key + " is " + size_text(w, h) + ", the images are " + size_text(width, height) +
+              ": accepted are rectified images, those of a drive named _sync");
+}
+
 }  // namespace
 
 calibration read_kitti_calibration(std::string const& path, int width, int height, int left_camera,
@@ -46,10 +61,18 @@ calibration read_kitti_calibration(std::string const& path, int width, int heigh
   std::string const left = "P" + std::to_string(left_camera);
   std::string const right = is_pair(kind) ? "P" + std::to_string(left_camera + 1) : left;
   std::map<std::string, projection_matrix> found;
+  bool raw = false;
   for (detail::text_line const& line : detail::read_lines(path)) {
     std::size_t const colon = line.text.find(':');
-    std::string const key =
+    std::string key =
         colon == std::string::npos ? std::string() : detail::trim(line.text.substr(0, colon));
+    if (key == "S_rect_0" + left.substr(1)) {
+      check_rectified_size(path, line.number, line.text.substr(colon + 1), key, width, height);
+    }
+    if (key.compare(0, 8, "P_rect_0") == 0) {  // KITTI raw
+      raw = true;
+      key = "P" + key.substr(8);
+    }
     if (key != left && key != right) {
       continue;  // other cameras, the lidar
     }
@@ -80,6 +103,12 @@ calibration read_kitti_calibration(std::string const& path, int width, int heigh
   result.T_reference_left.translation() = -left_offset;
   result.rig.left.width = result.rig.right.width = width;
   result.rig.left.height = result.rig.right.height = height;
+  if (raw) {
+    if (auto const T_imu_reference = read_oxts_mount(path)) {
+      result.rig.T_body_left = *T_imu_reference * result.T_reference_left;
+      result.has_body_frame = true;
+    }
+  }
   if (!is_pair(kind)) { set_one_camera(result.rig, kind); }
   check_rig(result.rig, path, kind);
   return result;

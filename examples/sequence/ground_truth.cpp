@@ -153,6 +153,10 @@ raw_ground_truth find_ground_truth(layout_of_files const& layout,
     truth.poses = read_kitti_poses(is_file(kitti) ? kitti : beside, layout.times);
     truth.of = raw_ground_truth::kitti_reference;
     truth.orientation = any_rotation(truth.poses);
+  } else if (layout.name == "kitti_raw" && is_directory((layout.root / "oxts" / "data").string())) {
+    truth.poses = read_oxts(layout.root / "oxts", warnings);
+    truth.of = raw_ground_truth::body;
+    truth.orientation = any_rotation(truth.poses);
   } else if (!layout.poses.empty()) {
     truth.poses = read_pose_files(layout.poses, warnings);
     truth.orientation = any_rotation(truth.poses);

@@ -183,7 +183,8 @@ void take_images(std::vector<listed_image> const& images, std::string const& pat
 namespace {
 
 constexpr char const* accepted_folders =
-    "folders with mav0/cam0 or cam0/data.csv (EuRoC), image_0 or image_2 (KITTI), rgb.txt or "
+    "folders with mav0/cam0 or cam0/data.csv (EuRoC), image_0 or image_2 (KITTI), image_00/data or "
+    "image_02/data (KITTI raw), rgb.txt or "
     "associations.txt (TUM RGB-D), color.txt with aligned_depth.txt (OpenLORIS), "
     "frame-000000.color.png with frame-000000.depth.png (7-Scenes), "
     "or images (left and right, cam0 and cam1, or in the folder itself)";
@@ -207,6 +208,7 @@ void refuse_pair(std::string const& what) {
 char const* title_of(std::string const& layout) {
   return layout == "euroc"       ? "EuRoC (ASL)"
          : layout == "kitti"     ? "KITTI odometry"
+         : layout == "kitti_raw" ? "KITTI raw"
          : layout == "tum"       ? "TUM RGB-D"
          : layout == "openloris" ? "OpenLORIS"
          : layout == "7scenes"   ? "7-Scenes"
@@ -244,6 +246,11 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
   } else if (kitti && (has_file("times.txt") || !given)) {
     l.name = "kitti";
     l.left_camera = has("image_0") ? 0 : 2;
+    find_kitti_frames(l, options);
+  } else if (!given &&
+             (has_file("image_00/timestamps.txt") || has_file("image_02/timestamps.txt"))) {
+    l.name = "kitti_raw";
+    l.left_camera = has("image_00") ? 0 : 2;
     find_kitti_frames(l, options);
   } else if (has_file("rgb.txt") || has_file("associations.txt")) {
     l.name = "tum";

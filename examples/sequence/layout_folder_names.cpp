@@ -22,11 +22,17 @@ fs::path with_images(fs::path const& folder) {
 }
 
 camera_folders find_camera_folders(fs::path const& root) {
-  constexpr char const* pairs[][2] = {{"left", "right"},      {"Left", "Right"},
-                                      {"cam0", "cam1"},       {"image_0", "image_1"},
-                                      {"image_2", "image_3"}, {"image_left", "image_right"},
-                                      {"camera0", "camera1"}, {"image_00", "image_01"},
-                                      {"infra1", "infra2"},   {"left_images", "right_images"}};
+  constexpr char const* pairs[][2] = {{"left", "right"},
+                                      {"Left", "Right"},
+                                      {"cam0", "cam1"},
+                                      {"image_0", "image_1"},
+                                      {"image_2", "image_3"},
+                                      {"image_left", "image_right"},
+                                      {"camera0", "camera1"},
+                                      {"image_00", "image_01"},
+                                      {"image_02", "image_03"},
+                                      {"infra1", "infra2"},
+                                      {"left_images", "right_images"}};
   for (auto const& [left, right] : pairs) {
     fs::path const first = with_images(root / left);
     if (first.empty()) { continue; }

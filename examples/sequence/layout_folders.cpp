@@ -25,7 +25,7 @@ struct named_image {
 
 constexpr char const* accepted_times =
     "accepted is a line for each image: seconds with a decimal point, or whole seconds, milli-, "
-    "micro- or nanoseconds";
+    "micro- or nanoseconds, or dates such as 2011-09-26 13:02:25.964";
 
 /// The longest number in a text, of equal ones the last; with its decimal part.
 std::string number_in(std::string const& text) {
@@ -151,6 +151,12 @@ std::vector<std::int64_t> times_of_lines(std::vector<std::pair<int, std::string>
                                          std::string const& path, std::string& unit,
                                          std::vector<std::string>& warnings) {
   try {
+    if (is_date(lines.front().second)) {
+      std::vector<std::int64_t> dates;
+      for (auto const& [line, text] : lines) { dates.push_back(date_to_ns(text, path, line)); }
+      unit = "dates";
+      return dates;
+    }
     return times_of(lines, path, unit, warnings);
   } catch (error const& e) { throw error(std::string(e.what()) + "; " + accepted_times); }
 }

@@ -12,24 +12,30 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// frame number -> file, of a folder of numbered images; other files are ignored.
-std::map<int, std::string> list_numbered_images(fs::path const& folder) {
-  std::map<int, std::string> images;
+}  // namespace
+
+std::map<int, std::string> list_numbered(fs::path const& folder, std::string const& extension) {
+  std::map<int, std::string> files;
   std::error_code failure;
   for (fs::directory_iterator it(folder, failure), end; !failure && it != end;
        it.increment(failure)) {
     fs::path const path = it->path();
     std::string const stem = path.stem().string();
-    bool const numbered =
-        !stem.empty() && stem.size() <= 9 &&
-        std::all_of(stem.begin(), stem.end(), [](char c) { return c >= '0' && c <= '9'; });
-    if (!numbered || !has_image_extension(path)) { continue; }
-    auto const [place, added] = images.emplace(std::stoi(stem), path.string());
+    bool const wanted =
+        extension.empty() ? has_image_extension(path) : path.extension() == extension;
+    bool const numbered = !stem.empty() && stem.size() <= 10 &&
+                          std::all_of(stem.begin(), stem.end(), [](char c) { return is_digit(c); });
+    if (!numbered || !wanted) { continue; }
+    std::int64_t const number = std::stoll(stem);
+    if (number > 999'999'999) { continue; }
+    auto const [place, added] = files.emplace(static_cast<int>(number), path.string());
     if (!added) { throw error(path.string() + ": same frame number as " + place->second); }
   }
   if (failure) { throw error(folder.string() + ": cannot be read: " + failure.message()); }
-  return images;
+  return files;
 }
+
+namespace {
 
 std::vector<std::int64_t> read_times(std::string const& path) {
   std::vector<std::int64_t> times;
@@ -44,14 +50,17 @@ std::vector<std::int64_t> read_times(std::string const& path) {
   return times;
 }
 
+bool is_raw(layout_of_files const& layout) { return layout.name == "kitti_raw"; }
+
 std::string image_folder(layout_of_files const& layout, int side) {
-  return "image_" + std::to_string(layout.left_camera + side);
+  return (is_raw(layout) ? "image_0" : "image_") + std::to_string(layout.left_camera + side);
 }
 
 std::map<int, std::string> images_of(layout_of_files const& layout, int side) {
-  fs::path const folder = layout.root / image_folder(layout, side);
+  fs::path folder = layout.root / image_folder(layout, side);
+  if (is_raw(layout)) { folder /= "data"; }
   if (!is_directory(folder.string())) { refuse_pair(folder.string() + ": no such folder"); }
-  std::map<int, std::string> images = list_numbered_images(folder);
+  std::map<int, std::string> images = list_numbered(folder, {});
   if (images.empty()) {
     throw error(folder.string() + ": no images (000000.png, .jpg or .jpeg, numbered)");
   }
@@ -65,15 +74,18 @@ void find_kitti_frames(layout_of_files& layout, open_options const& options) {
   bool const pair =
       is_pair(options.rig) || (options.rig == camera_kind::any &&
                                is_directory((layout.root / image_folder(layout, 1)).string()));
-  layout.stamps_from = "times.txt";
+  layout.stamps_from = is_raw(layout) ? "timestamps.txt" : "times.txt";
   layout.second_folder = image_folder(layout, 1);
   layout.kind = pair ? camera_kind::stereo : camera_kind::mono;
-  std::string const times_file = (layout.root / "times.txt").string();
+  std::string const times_file =
+      (is_raw(layout) ? layout.root / image_folder(layout, 0) / layout.stamps_from
+                      : layout.root / layout.stamps_from)
+          .string();
   if (!is_file(times_file)) {
     throw error(times_file +
                 ": no such file; without times of the images, a rate (--fps) says them");
   }
-  layout.times = read_times(times_file);
+  layout.times = is_raw(layout) ? read_dates(times_file) : read_times(times_file);
   std::map<int, std::string> const lefts = images_of(layout, 0);
   std::map<int, std::string> const rights = pair ? images_of(layout, 1) : lefts;
   std::vector<bool> kept(layout.times.size());

@@ -258,6 +258,12 @@ sequence sequence::open(std::string const& directory, open_options const& option
   }
 
   raw_ground_truth truth = detail::find_ground_truth(files, p->warnings);
+  if (files.name == "kitti_raw" && truth.orientation && !calib.has_body_frame) {
+    truth.orientation = false;
+    p->warnings.push_back(
+        "ground truth: poses are the IMU's, and no calib_imu_to_velo.txt and calib_velo_to_cam.txt "
+        "beside the calibration say where it is: its positions alone are taken");
+  }
   p->has_orientation = truth.orientation;
   p->truth = std::move(truth.poses);
   if (truth.orientation) {

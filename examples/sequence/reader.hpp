@@ -108,7 +108,7 @@ public:
   ~sequence();
 
   std::string const& name() const;  ///< the folder's name
-  /// "euroc", "kitti", "tum", "openloris", "7scenes" or "folders"
+  /// "euroc", "kitti", "kitti_raw", "tum", "openloris", "7scenes" or "folders"
   std::string const& layout() const;
   recording_source const& source() const;
   camera_kind kind() const;  ///< stereo, mono or rgbd

@@ -66,6 +66,10 @@ calibration own_calibration(layout_of_files const& l, camera_kind kind, int widt
   if (l.name == "kitti" && there(l.root / "calib.txt")) {
     return read_kitti_calibration(path, width, height, l.left_camera, kind);
   }
+  if (l.name == "kitti_raw" && (there(l.root / "calib_cam_to_cam.txt") ||
+                                there(l.root.parent_path() / "calib_cam_to_cam.txt"))) {
+    return read_kitti_calibration(path, width, height, l.left_camera, kind);
+  }
   if (folders && there(l.root / "calib.txt")) {
     return read_calibration(path, width, height, l.left_camera, kind);
   }

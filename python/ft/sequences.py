@@ -230,7 +230,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
                   max_time_difference_ns: Optional[int] = None, fps: Optional[float] = None, times: Path = "",
                   topics: Union[str, Items[str]] = (), image_bits: Optional[int] = None,
                   progress: Optional[Callable[[int], None]] = None) -> Sequence:
-    """Opens a recording. It is a folder in EuRoC (ASL) or KITTI odometry layout, with two cameras or one, or in that of TUM
+    """Opens a recording. It is a folder in EuRoC (ASL), KITTI odometry or KITTI raw layout, with two cameras or one, or in that of TUM
     RGB-D, OpenLORIS or 7-Scenes, or plain folders of images: left and right (cam0 and cam1, image_0 and image_1), or one. Or it is a bag (.bag,
     .mcap, .db3, the folder of a ROS 2 bag; package rosbags), a video or a list of two (package opencv-python), or images
     of one camera, as a list or a pattern such as "images/*.png". A folder with videos and no images is opened as its videos

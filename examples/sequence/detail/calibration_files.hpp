@@ -2,6 +2,7 @@
 /// @file Which calibration a file is, and which files belong together. Not API.
 #pragma once
 
+#include <optional>
 #include <string>
 
 #include "examples/sequence/detail/yaml_file.hpp"
@@ -25,6 +26,10 @@ enum class calibration_format {
 
 /// @throws seq::error for a file that cannot be read, or not as YAML, XML or JSON
 calibration_format format_of(std::string const& path);
+
+/// KITTI raw: maps points of the rectified camera 0 to the IMU, by the files that lie beside
+/// calib_cam_to_cam.txt; nothing without them. @throws seq::error
+std::optional<Eigen::Isometry3d> read_oxts_mount(std::string const& cam_to_cam);
 
 /// A line of COLMAP's cameras.txt, of a model that is known or not.
 bool is_colmap_camera(std::string const& line);

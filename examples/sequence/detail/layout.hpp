@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -81,6 +82,15 @@ void find_tum_frames(layout_of_files& layout, open_options const& options);
 void find_scene_frames(layout_of_files& layout, open_options const& options);
 /// Whether there are images named as those of 7-Scenes, frame-000000.color.png.
 bool has_scene_frames(std::filesystem::path const& root);
+/// number -> file, of a folder of files whose names are numbers; others are ignored.
+/// @param extension of the files; empty = those of images @throws seq::error for a number twice
+std::map<int, std::string> list_numbered(std::filesystem::path const& folder,
+                                         std::string const& extension);
+/// KITTI raw: the dates in a timestamps.txt. @throws seq::error
+std::vector<std::int64_t> read_dates(std::string const& path);
+/// KITTI raw: poses of the IMU in a world whose x is east, y north, z up, and whose origin is the
+/// first one, of its folder oxts. @throws seq::error
+trajectory read_oxts(std::filesystem::path const& folder, std::vector<std::string>& warnings);
 /// Of plain folders: left and right (or cam0 and cam1, image_0 and image_1 ...), or one of images.
 /// @pre has_image_folders(layout.root)
 void find_folder_frames(layout_of_files& layout, open_options const& options);

@@ -64,6 +64,12 @@ std::vector<std::pair<std::size_t, std::size_t>> nearest_pairs(std::vector<std::
 std::int64_t smallest_distance(std::vector<std::int64_t> const& a,
                                std::vector<std::int64_t> const& b);
 
+/// Whether a text begins as a date does: 2011-09-26 13:02:25.96
+bool is_date(std::string const& text);
+/// A date and time of day, UTC, with decimals of the second, as nanoseconds since 1970.
+/// @throws seq::error naming file and line
+std::int64_t date_to_ns(std::string const& text, std::string const& path, int line);
+
 /// Nanoseconds as milliseconds, for messages.
 std::string milliseconds(std::int64_t ns);
 

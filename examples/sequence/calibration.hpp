@@ -31,6 +31,8 @@ struct calibration {
   Eigen::Isometry3d T_reference_left = Eigen::Isometry3d::Identity();
   /// Metres per unit of 16-bit depth images, where the file says it.
   std::optional<double> depth_unit;
+  /// The camera's y axis points up in the file, and in the recording's poses: fy was below 0.
+  bool y_up = false;
   /// What of the file may change the result and is not taken, a sentence each.
   std::vector<std::string> warnings;
 };
@@ -81,7 +83,9 @@ calibration read_orb_slam3_settings(std::string const& path, int width = 0, int 
 
 /// camera.txt: one line "fx fy cx cy", or with the coefficients "k1 k2 p1 p2 [k3 [k4 k5 k6]]" after
 /// them, pixels. Lines starting with # are comments; one with "depth in units of 1 mm" (any number;
-/// m, cm, mm or um) gives the depth unit.
+/// m, cm, mm or um) gives the depth unit. An fy below 0 without coefficients is ICL-NUIM's: y
+/// points up in its files. |fy| is taken, and a warning says that the poses of the recording are
+/// mirrored.
 /// @param kind mono or rgbd
 /// @throws seq::error
 calibration read_camera_txt(std::string const& path, int width, int height,

@@ -64,6 +64,14 @@ calibration read_camera_txt(std::string const& path, int width, int height, came
     camera.fy = values[1];
     camera.cx = values[2];
     camera.cy = values[3];
+    if (n == 4 && camera.fy < 0) {
+      camera.fy = -camera.fy;
+      result.y_up = true;
+      result.warnings.push_back(
+          path + ": fy is " + to_text(-camera.fy) +
+          ", as ICL-NUIM has it, whose y axis points up: " + to_text(camera.fy) +
+          " is taken, and poses of the ground truth are mirrored in y");
+    }
     if (n > 4) { camera.model = lens::radial_tangential; }
     camera.distortion.assign(values.begin() + 4, values.end());
     drop_zero_distortion(camera);

@@ -122,6 +122,17 @@ trajectory read_pose_files(std::vector<listed_image> const& files,
   return poses;
 }
 
+/// Those of a file in TUM format, whose stamps count frames where those of the images do.
+trajectory read_tum_poses(std::string const& path, layout_of_files const& layout,
+                          std::vector<std::string>& warnings) {
+  trajectory poses = read_tum(path, &warnings);
+  if (layout.name != "tum" || layout.rate == 0) { return poses; }
+  for (stamped_pose& pose : poses) {
+    pose.time_ns = std::llround(static_cast<double>(pose.time_ns) / layout.rate);
+  }
+  return poses;
+}
+
 bool any_rotation(trajectory const& poses) {
   return std::any_of(poses.begin(), poses.end(), [](stamped_pose const& pose) {
     Eigen::Matrix3d const R = pose.T_world_camera.linear();
@@ -147,8 +158,12 @@ raw_ground_truth find_ground_truth(layout_of_files const& layout,
     truth.of = raw_ground_truth::body;
     truth.orientation = !truth.poses.empty();
   } else if (is_file(tum)) {
-    truth.poses = read_tum(tum, &warnings);
+    truth.poses = read_tum_poses(tum, layout, warnings);
     truth.orientation = any_rotation(truth.poses);
+  } else if (!layout.y_up_truth.empty()) {
+    truth.poses = read_tum_poses(layout.y_up_truth, layout, warnings);
+    truth.orientation = any_rotation(truth.poses);
+    truth.y_up = true;
   } else if (is_file(kitti) || is_file(beside)) {
     truth.poses = read_kitti_poses(is_file(kitti) ? kitti : beside, layout.times);
     truth.of = raw_ground_truth::kitti_reference;

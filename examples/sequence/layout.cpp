@@ -269,7 +269,7 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
     throw error(directory + ": no sequence found; accepted are " + accepted_folders +
                 bags_and_videos);
   }
-  bool const rate = l.counted && options.fps > 0;
+  bool const rate = l.rate > 0 && options.fps > 0;
   if (given && l.name != "folders" && !rate) {
     throw error(directory + ": " + (options.fps > 0 ? "fps" : "times") +
                 ": the images of the layout " + l.name + " have times of their own");

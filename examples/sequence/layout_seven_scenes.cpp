@@ -82,7 +82,7 @@ void find_scene_frames(layout_of_files& layout, open_options const& options) {
   for (auto const& [number, files] : found) { depth = depth || !files.depth.empty(); }
   if (options.rig == camera_kind::rgbd && !depth) { refuse_depths(layout); }
   layout.kind = depth && options.rig != camera_kind::mono ? camera_kind::rgbd : camera_kind::mono;
-  layout.counted = true;
+  layout.rate = rate;
   layout.depth_unit = 1e-3;
   layout.no_depth = 65535;
   layout.stamps_from = to_text(rate) + " images a second, " +

@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <cmath>
+#include <system_error>
 #include <utility>
 
 #include "examples/sequence/detail/layout.hpp"
@@ -30,14 +32,61 @@ std::vector<std::pair<int, std::vector<std::string>>> read_words(std::string con
   return lines;
 }
 
+/// A stamp in seconds, or the number of a frame. @param rate 0 = seconds; of frames
+std::int64_t time_of(std::string const& text, std::string const& path, int line, double rate) {
+  std::int64_t const time = seconds_to_ns(text, path, line);
+  return rate > 0 ? std::llround(static_cast<double>(time) / rate) : time;
+}
+
+/// Whether the first words of a list count frames, as ICL-NUIM has them: whole numbers, one by one.
+bool counts_frames(std::string const& path) {
+  std::vector<std::int64_t> numbers;
+  for (text_line const& line : read_lines(path)) {
+    if (is_blank_or_comment(line.text)) { continue; }
+    std::string const word = split(line.text, " \t,", true).front();
+    bool const whole = word.size() <= 9 && std::all_of(word.begin(), word.end(), is_digit);
+    if (!whole) { return false; }
+    numbers.push_back(std::stoll(word));
+  }
+  constexpr std::int64_t least_step = 5;  // as of names that are times
+  return numbers.size() > 1 && median_step(numbers) < least_step;
+}
+
+/// Sets the rate of a list that counts frames. @throws seq::error where nobody says it
+void set_rate(std::string const& path, open_options const& options, layout_of_files& layout) {
+  if (!counts_frames(path)) { return; }
+  if (options.fps == 0) {
+    throw error(path +
+                ": the time stamps count frames: a rate says their times, --fps 30 (fps=30) of "
+                "ICL-NUIM; accepted are else times in seconds");
+  }
+  layout.rate = options.fps;
+}
+
+/// ICL-NUIM: the file with the poses, livingRoom2.gt.freiburg; empty without.
+std::string find_icl_truth(fs::path const& root) {
+  std::vector<std::string> found;
+  std::error_code failure;
+  for (fs::directory_iterator it(root, failure), end; !failure && it != end;
+       it.increment(failure)) {
+    std::string const name = it->path().filename().string();
+    std::string const end_of_name = ".gt.freiburg";
+    if (name.size() > end_of_name.size() &&
+        name.compare(name.size() - end_of_name.size(), end_of_name.size(), end_of_name) == 0) {
+      found.push_back(it->path().string());
+    }
+  }
+  return found.size() == 1 ? found.front() : std::string();
+}
+
 /// rgb.txt, depth.txt, or OpenLORIS' color.txt, aligned_depth.txt
-std::vector<listed_image> read_list(fs::path const& root, std::string const& name,
+std::vector<listed_image> read_list(fs::path const& root, std::string const& name, double rate,
                                     std::vector<std::string>& warnings) {
   std::string const path = (root / name).string();
   std::vector<std::int64_t> times;
   std::vector<std::string> files;
   for (auto const& [number, words] : read_words(path, 2, "time, file")) {
-    times.push_back(seconds_to_ns(words[0], path, number));
+    times.push_back(time_of(words[0], path, number, rate));
     files.push_back(words[1]);
   }
   std::vector<listed_image> images;
@@ -61,8 +110,8 @@ void read_associations(std::string const& path, std::int64_t most_ns, layout_of_
   for (auto const& [number, words] : read_words(path, 4, "time, colour, time, depth")) {
     std::size_t const colour = depth_first(words) ? 2 : 0;
     std::size_t const depth = 2 - colour;
-    std::int64_t const time = seconds_to_ns(words[colour], path, number);
-    std::int64_t const other = seconds_to_ns(words[depth], path, number);
+    std::int64_t const time = time_of(words[colour], path, number, layout.rate);
+    std::int64_t const other = time_of(words[depth], path, number, layout.rate);
     std::int64_t const apart = time < other ? other - time : time - other;
     if (apart > most_ns) {
       ++far;
@@ -141,19 +190,22 @@ void find_tum_frames(layout_of_files& layout, open_options const& options) {
         "--rig mono (rig=\"mono\") says that it is meant so");
   }
   if (loris) { layout.depth_unit = 1e-3; }
-  layout.of_tum = !loris && is_of_tum(layout.root, layout.freiburg);
+  layout.y_up_truth = find_icl_truth(layout.root);
+  layout.of_tum = !loris && (is_of_tum(layout.root, layout.freiburg) || !layout.y_up_truth.empty());
   layout.stamps_from = is_file(path(colours)) ? colours : both;
   layout.kind = depth && options.rig != camera_kind::mono ? camera_kind::rgbd : camera_kind::mono;
   std::int64_t const most = options.max_time_difference_ns.value_or(most_to_depth_ns);
   if (has_both && (layout.kind == camera_kind::rgbd || !is_file(path(colours)))) {
+    set_rate(path(both), options, layout);
     read_associations(path(both), most, layout);
     return;
   }
+  set_rate(path(colours), options, layout);
   two_lists lists;
-  lists.left = read_list(layout.root, colours, layout.warnings);
+  lists.left = read_list(layout.root, colours, layout.rate, layout.warnings);
   lists.left_name = colours;
   if (layout.kind == camera_kind::rgbd) {
-    lists.second = read_list(layout.root, depths, layout.warnings);
+    lists.second = read_list(layout.root, depths, layout.rate, layout.warnings);
     lists.second_name = depths;
     pair_frames(lists, most, layout);
     return;

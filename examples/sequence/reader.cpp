@@ -138,6 +138,20 @@ Eigen::Isometry3d given_to_loaded(raw_ground_truth::frame given, calibration con
   return T_raw_loaded;
 }
 
+/// ICL-NUIM was rendered by POV-Ray, whose frames are left-handed: x right, y up, z forward, so
+/// that its fy is -480 (https://github.com/ankurhanda/living_room_iclnuim). With y down in the
+/// camera and in the world the same motion is M T M, M = diag(1, -1, 1), and images stay as they
+/// are.
+void mirror_y(trajectory& poses) {
+  Eigen::Vector3d const m(1, -1, 1);
+  for (stamped_pose& pose : poses) {
+    Eigen::Matrix3d const R = pose.T_world_camera.linear();
+    Eigen::Vector3d const t = pose.T_world_camera.translation();
+    pose.T_world_camera.linear() = m.asDiagonal() * R * m.asDiagonal();
+    pose.T_world_camera.translation() = m.cwiseProduct(t);
+  }
+}
+
 }  // namespace
 
 /// Decides what load() does with images. @return what maps points of the loaded left camera into
@@ -258,6 +272,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
   }
 
   raw_ground_truth truth = detail::find_ground_truth(files, p->warnings);
+  if (truth.y_up || calib.y_up) { mirror_y(truth.poses); }
   if (files.name == "kitti_raw" && truth.orientation && !calib.has_body_frame) {
     truth.orientation = false;
     p->warnings.push_back(

@@ -65,8 +65,9 @@ struct open_options {
   /// Bits that hold the samples of 16-bit images of one channel, 8 to 16; 0 = 16, with a warning
   /// where up to eight images of each camera have none of 2^14 or more. Depth images have all 16.
   int image_bits = 0;
-  /// Images a second, 1e-3 to 1e5, of plain folders whose file names are no times, and of 7-Scenes;
-  /// 0 = the names, or the file that has the times, say it; 7-Scenes has 30.
+  /// Images a second, 1e-3 to 1e5, of plain folders whose file names are no times, of 7-Scenes, and
+  /// of ICL-NUIM, whose stamps count frames; 0 = the names, or the file that has the times, say it;
+  /// 7-Scenes has 30.
   double fps = 0;
   /// Of plain folders: file with a time for each image, a line each, in seconds with a decimal
   /// point or in whole nano-, micro- or milliseconds. Empty = times.txt or timestamps.txt, if it is

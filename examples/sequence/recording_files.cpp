@@ -45,6 +45,9 @@ namespace fs = std::filesystem;
 
 /// What is known of a calibration that is not there, for its message.
 std::string published_calibration(layout_of_files const& l) {
+  if (!l.y_up_truth.empty()) {
+    return "; of ICL-NUIM 481.2 -480 319.5 239.5 are published, in a camera.txt";
+  }
   if (l.name != "7scenes") { return {}; }
   return "; for the Kinect of 7-Scenes, which was not calibrated, 585 585 320 240 are published";
 }

@@ -231,7 +231,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
                   topics: Union[str, Items[str]] = (), image_bits: Optional[int] = None,
                   progress: Optional[Callable[[int], None]] = None) -> Sequence:
     """Opens a recording. It is a folder in EuRoC (ASL), KITTI odometry or KITTI raw layout, with two cameras or one, or in that of TUM
-    RGB-D, OpenLORIS or 7-Scenes, or plain folders of images: left and right (cam0 and cam1, image_0 and image_1), or one. Or it is a bag (.bag,
+    RGB-D, ICL-NUIM, OpenLORIS or 7-Scenes, or plain folders of images: left and right (cam0 and cam1, image_0 and image_1), or one. Or it is a bag (.bag,
     .mcap, .db3, the folder of a ROS 2 bag; package rosbags), a video or a list of two (package opencv-python), or images
     of one camera, as a list or a pattern such as "images/*.png". A folder with videos and no images is opened as its videos
     left and right, or as the only one. Bags and videos are unpacked to a folder for temporary
@@ -240,7 +240,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     calibration: a file or folder in place of the sequence's own: Kalibr's chain, OpenCV's YAML or XML of a pair, ROS
     camera_info (left.yaml beside right.yaml), basalt's JSON, what rs-enumerate-devices -c prints,
     DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt; a bag has
-    its camera_info. The calibration of a video is the one beside it; that of a single video is of one camera. fps, times: of plain folders, and fps of 7-Scenes, images a second, or a file with a time a line; None and "" = the file
+    its camera_info. The calibration of a video is the one beside it; that of a single video is of one camera. fps, times: of plain folders, and fps of 7-Scenes and ICL-NUIM, images a second, or a file with a time a line; None and "" = the file
     names or times.txt say them. topics: of a bag, one with images, left and right, or colour and depth; empty = found by
     type and name. image_bits: 8 to 16, that hold the samples of grey PNG and TIFF of 16 bits; None = 16, with a
     warning where up to eight images of each camera need 14 or fewer. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:

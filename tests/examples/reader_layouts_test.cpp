@@ -363,6 +363,60 @@ TEST(reader_kitti_raw, says_what_is_missing_or_wrong) {
   EXPECT_TRUE(contains(missing, "calib_cam_to_cam.txt: no such file; accepted are")) << missing;
 }
 
+void write_icl(temp_folder const& folder) {
+  std::string pairs;
+  std::string poses;
+  for (int i = 0; i < 4; ++i) {
+    std::string const n = std::to_string(i);
+    put(folder, "rgb/" + n + ".png", i);
+    put_depth(folder, "depth/" + n + ".png", 10000, 10000);
+    pairs += n + " depth/" + n + ".png " + n + " rgb/" + n + ".png\n";
+    // A turn about x, by 2 atan(0.75), and one step a frame.
+    if (i > 0) { poses += n + " 0.5 " + n + " -2.25 0.6 0 0 0.8\n"; }
+  }
+  folder.write("associations.txt", pairs);
+  folder.write("livingRoom2.gt.freiburg", poses);
+  folder.write("camera.txt", "48.12 -48 31.95 23.95\n");
+}
+
+TEST(reader_icl_nuim, its_y_axis_points_up_and_its_stamps_count_frames) {
+  temp_folder const folder;
+  write_icl(folder);
+  std::string const refused = refusal_of(folder.path());
+  EXPECT_TRUE(contains(refused, "associations.txt: the time stamps count frames")) << refused;
+  EXPECT_TRUE(contains(refused, "--fps 30")) << refused;
+  seq::open_options options;
+  options.fps = 30;
+  seq::sequence const s = seq::sequence::open(folder.path(), options);
+  EXPECT_EQ(s.layout(), "tum");
+  EXPECT_EQ(times_of(s), (time_list{0, 33'333'333, 66'666'667, 100'000'000}));
+  EXPECT_EQ(s.raw_rig().left.fy, 48);
+  EXPECT_EQ(s.load(3).left.pixels[0], 3);
+  EXPECT_EQ(s.depth_unit(), 1.0 / 5000);
+  ASSERT_EQ(s.warnings().size(), 1U);
+  EXPECT_TRUE(contains(s.warnings()[0], "fy is -48, as ICL-NUIM has it")) << s.warnings()[0];
+  ASSERT_EQ(s.ground_truth().size(), 3U);
+  EXPECT_EQ(s.ground_truth()[1].time_ns, s.time_ns(2));
+  // A point that the files' camera sees at a pixel is seen there by ours, its world mirrored.
+  Eigen::Isometry3d theirs = Eigen::Isometry3d::Identity();
+  theirs.linear() = Eigen::Quaterniond(0.8, 0.6, 0, 0).toRotationMatrix();
+  theirs.translation() = Eigen::Vector3d(0.5, 2, -2.25);
+  Eigen::Vector3d const seen = theirs * Eigen::Vector3d(0.3, 0.4, 2);
+  Eigen::Vector3d const mirrored(seen.x(), -seen.y(), seen.z());
+  Eigen::Vector3d const ours = s.ground_truth()[1].T_world_camera.inverse() * mirrored;
+  EXPECT_LT((ours - Eigen::Vector3d(0.3, -0.4, 2)).norm(), 1e-12);
+
+  folder.write("camera.txt", "48.12 48 31.95 23.95\n");  // its poses are the same ones
+  seq::sequence const same = seq::sequence::open(folder.path(), options);
+  EXPECT_TRUE(same.warnings().empty());
+  EXPECT_EQ(same.ground_truth()[1].T_world_camera.matrix(),
+            s.ground_truth()[1].T_world_camera.matrix());
+  folder.write("camera.txt", "48.12 -48 31.95 23.95 0.1 0 0 0\n");
+  EXPECT_TRUE(contains(refusal_of(folder.path(), options), "fy = -48: must be above 0"));
+  fs::remove(folder.path("camera.txt"));
+  EXPECT_TRUE(contains(refusal_of(folder.path(), options), "481.2 -480 319.5 239.5"));
+}
+
 TEST(reader_folders, one_number_of_two_images_is_refused) {
   seq::open_options options;
   options.fps = 30;

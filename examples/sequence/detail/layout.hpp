@@ -48,13 +48,14 @@ struct layout_of_files {
   std::vector<camera_images> more;    ///< cameras beside the pair, cam2 ...
   std::vector<camera_images> depths;  ///< of a mixed rig, depth0 ...
   unpaired_images unpaired;
-  std::string stamps_from;          ///< for people: which file, or the names
-  std::string second_folder;        ///< for people: where images of a second camera would be
-  bool of_tum = false;              ///< a recording of the TUM RGB-D benchmark itself
-  int freiburg = 0;                 ///< number of that benchmark's camera; 0 = none
-  bool counted = false;             ///< its frames have numbers: open_options::fps is its rate
-  double depth_unit = 0;            ///< metres, that all recordings of the layout have; 0 = none
-  std::uint16_t no_depth = 0;       ///< a depth that means none, beside 0
+  std::string stamps_from;     ///< for people: which file, or the names
+  std::string second_folder;   ///< for people: where images of a second camera would be
+  bool of_tum = false;         ///< of the TUM RGB-D benchmark itself, or of ICL-NUIM
+  int freiburg = 0;            ///< number of that benchmark's camera; 0 = none
+  double rate = 0;             ///< images a second, where frames are counted; 0 = they have times
+  std::string y_up_truth;      ///< ICL-NUIM: the file with its poses; empty = none
+  double depth_unit = 0;       ///< metres, that all recordings of the layout have; 0 = none
+  std::uint16_t no_depth = 0;  ///< a depth that means none, beside 0
   std::vector<listed_image> poses;  ///< files of the frames' poses, camera to world
   std::vector<std::string> warnings;
 };
@@ -138,6 +139,7 @@ struct raw_ground_truth {
   trajectory poses;
   frame of = raw_left;
   bool orientation = false;
+  bool y_up = false;  ///< y of the camera, and of its world, points up
 };
 
 /// The ground truth that lies in the folder, sorted by time. @throws seq::error

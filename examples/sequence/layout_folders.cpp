@@ -348,6 +348,11 @@ void check_depth_left_out(layout_of_files& layout) {
 void find_folder_frames(layout_of_files& layout, open_options const& options) {
   if (options.rig == camera_kind::rgbd) { refuse_depths(layout); }
   camera_folders const folders = find_camera_folders(layout.root);
+  if (!folders.other_pair.empty()) {
+    throw error(layout.root.string() + ": several pairs of folders, such as " +
+                folders.left.filename().string() + " and " + folders.other_pair +
+                " with their right ones; accepted is one, or one named left and right");
+  }
   if (is_pair(options.rig) && folders.right.empty()) {
     refuse_pair(layout.root.string() + ": images of one camera alone, in " + folders.left.string());
   }

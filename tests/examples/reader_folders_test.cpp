@@ -73,6 +73,41 @@ TEST(reader_folders, pairs_of_any_usual_names_with_the_calibration_beside) {
   }
 }
 
+TEST(reader_folders, names_of_pairs_in_any_case_and_by_their_last_word) {
+  for (auto const& [left, right] : std::vector<std::pair<std::string, std::string>>{
+           {"LEFT", "RIGHT"},
+           {"Left", "right"},
+           {"Cam0", "Cam1"},
+           {"cam_left", "cam_right"},
+           {"camera_left", "camera_right"},
+           {"RGB_Left", "RGB_Right"},
+           {"stereo-left/data", "stereo-right/data"}}) {
+    temp_folder const folder;
+    folder.write("stereo.yaml", stereo_yaml);
+    put(folder, left + "/1.5.png", 1);
+    put(folder, right + "/1.5.png", 2);
+    seq::sequence const s = seq::sequence::open(folder.path());
+    EXPECT_EQ(s.kind(), seq::camera_kind::stereo) << left;
+    EXPECT_EQ(pixels_of(s), (pixel_pairs{{1, 2}})) << left;
+  }
+  temp_folder const folder;
+  folder.write("stereo.yaml", stereo_yaml);
+  for (char const* name : {"ir_left", "ir_right", "rgb_left", "rgb_right"}) {
+    put(folder, std::string(name) + "/1.5.png", 1);
+  }
+  std::string const refused = message_of([&] { seq::sequence::open(folder.path()); });
+  EXPECT_TRUE(contains(refused, "several pairs of folders, such as ir_left and rgb_left"))
+      << refused;
+  put(folder, "left/1.5.png", 1);
+  put(folder, "right/1.5.png", 2);
+  EXPECT_EQ(pixels_of(seq::sequence::open(folder.path())), (pixel_pairs{{1, 2}}));
+  fs::remove_all(folder.path("left"));
+  fs::remove_all(folder.path("ir_left"));
+  fs::remove_all(folder.path("rgb_left"));  // a right camera alone
+  EXPECT_TRUE(
+      contains(message_of([&] { seq::sequence::open(folder.path()); }), "no sequence found"));
+}
+
 TEST(reader_folders, times_in_names_have_their_unit_told_apart) {
   struct unit_case {
     std::string first, second, unit;

@@ -102,7 +102,8 @@ struct camera_folders {
   std::string right_name = {};              ///< of the folder, also where it is not there
   std::vector<std::filesystem::path> more;  ///< of cam0, cam1: cam2 ...
   std::vector<std::pair<int, std::filesystem::path>> depths =
-      {};  ///< depth0 ..., by the camera's number
+      {};                       ///< depth0 ..., by the camera's number
+  std::string other_pair = {};  ///< a second pair, of whose folders one is named so
 };
 
 camera_folders find_camera_folders(std::filesystem::path const& root);

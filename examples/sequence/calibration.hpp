@@ -96,8 +96,8 @@ calibration read_camera_txt(std::string const& path, int width, int height,
 calibration published_tum_calibration(int camera, camera_kind kind = camera_kind::rgbd);
 
 /// Kalibr's chain: `cam0`, `cam1` with camera_model (pinhole, omni, ds, eucm), intrinsics,
-/// distortion_model (radtan, equidistant, none), distortion_coeffs, resolution, T_cn_cnm1 (maps
-/// cam0 points into cam1), and with an IMU T_cam_imu (or OpenVINS's T_imu_cam) and
+/// distortion_model (radtan, equidistant, fov, none), distortion_coeffs, resolution, T_cn_cnm1
+/// (maps cam0 points into cam1), and with an IMU T_cam_imu (or OpenVINS's T_imu_cam) and
 /// timeshift_cam_imu. The IMU's noise is read from the imu.yaml that lies beside it (imu0.yaml,
 /// kalibr_imu_chain.yaml, TUM-VI's imu_config.yaml, or `imu` in place of `camchain-imucam` in its
 /// name). Key names are Kalibr's.

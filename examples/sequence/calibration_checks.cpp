@@ -101,7 +101,9 @@ void check_camera(camera_intrinsics const& camera, std::string const& name,
   }
   std::size_t const n = camera.distortion.size();
   bool const radial = camera.model == lens::radial_tangential;
+  bool const fov = camera.model == lens::field_of_view;
   std::size_t const wanted = camera.model == lens::pinhole          ? 0
+                             : fov                                  ? 1
                              : camera.model == lens::kannala_brandt ? 4
                              : camera.model == lens::unified        ? 5
                                                                     : 2;
@@ -112,6 +114,7 @@ void check_camera(camera_intrinsics const& camera, std::string const& name,
     throw error(source + ": " + name + ": " + std::to_string(n) +
                 " distortion coefficients, must have " + allowed);
   }
+  if (fov) { check("omega", camera.distortion[0], {1e-3, 3.14}); }
   for (int i = 0; i < shape_parameters(camera.model); ++i) {
     bool const two = camera.model == lens::double_sphere;
     double const value = camera.distortion[static_cast<std::size_t>(i)];

@@ -70,8 +70,9 @@ camera_intrinsics read_kalibr_camera(yaml_file const& file) {
   std::vector<double> shape = set_shape(of);
   set_distortion(camera, distortion, coefficients, file.path(), "distortion_coeffs");
   std::vector<double> rest = camera.distortion;
-  bool const fits = of == lens::unified ? camera.model != lens::kannala_brandt && rest.size() <= 4
-                                        : camera.model == lens::pinhole;
+  bool const fits =
+      camera.model == lens::pinhole ||
+      (of == lens::unified && camera.model == lens::radial_tangential && rest.size() <= 4);
   if (!fits) {
     throw error(file.path() + ": distortion_model = " + distortion + " with camera_model = " +
                 model + ": must be " + (of == lens::unified ? "radtan or none" : "none"));

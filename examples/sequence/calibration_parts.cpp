@@ -60,6 +60,9 @@ void set_distortion(camera_intrinsics& camera, std::string const& model,
     camera.model = lens::kannala_brandt;
     if (n > 4 && zero_from(4)) { coefficients.resize(4); }
     if (coefficients.size() != 4) { fail("4"); }
+  } else if (model == "fov") {
+    camera.model = lens::field_of_view;
+    if (n != 1) { fail("1"); }
   } else if (is_one_of(model, {"none", "None", ""})) {
     if (!zero_from(0)) {
       throw error(path + ": " + key + " are not zero, but the distortion model is none");
@@ -67,8 +70,9 @@ void set_distortion(camera_intrinsics& camera, std::string const& model,
     camera.model = lens::pinhole;
     coefficients.clear();
   } else {
-    throw error(path + ": distortion model " + model +
-                ": must be radtan (plumb_bob), rational_polynomial, equidistant (fisheye) or none");
+    throw error(
+        path + ": distortion model " + model +
+        ": must be radtan (plumb_bob), rational_polynomial, equidistant (fisheye), fov or none");
   }
   camera.distortion = std::move(coefficients);
   drop_zero_distortion(camera);

@@ -27,6 +27,8 @@ char const* lens_name(camera_intrinsics const& camera) {
       return "unified";
     case lens::extended_unified:
       return "extended unified";
+    case lens::field_of_view:
+      return "field of view";
     case lens::pinhole:
       break;
   }

@@ -56,6 +56,7 @@ lens_projection::lens_projection(camera_intrinsics const& camera)
     case lens::pinhole:
     case lens::double_sphere:
     case lens::extended_unified:
+    case lens::field_of_view:
       break;
     case lens::unified:
     case lens::radial_tangential: {
@@ -176,6 +177,14 @@ projected_pixel lens_projection::operator()(Eigen::Vector3d const& point) const 
       if (rho > 0) { distorted = point.head<2>() * (fisheye_radius(k_, theta) / rho); }
       break;
     }
+    case lens::field_of_view: {  // as ft::field_of_view
+      if (!(point.z() > 0)) { return result; }
+      double const rho = point.head<2>().norm();
+      double const omega = k_[0];
+      double const radius = std::atan2(2 * rho * std::tan(0.5 * omega), point.z()) / omega;
+      if (rho > 0) { distorted = point.head<2>() * (radius / rho); }
+      break;
+    }
     case lens::double_sphere:
     case lens::unified:
     case lens::extended_unified: {
@@ -216,6 +225,15 @@ projected_pixel lens_projection::unproject(Eigen::Vector2d const& pixel) const {
       result.pixel = radius > 0 ? Eigen::Vector2d(target * (std::tan(low) / radius)) : target;
       break;
     }
+    case lens::field_of_view: {
+      double const radius = target.norm();
+      double const angle = k_[0] * radius;
+      if (!(angle < 0.5 * pi)) { return result; }
+      double const slope = 2 * std::tan(0.5 * k_[0]);
+      double const factor = radius > 0 ? std::tan(angle) / (slope * radius) : k_[0] / slope;
+      result.pixel = target * factor;
+      break;
+    }
     case lens::double_sphere:
     case lens::unified:
     case lens::extended_unified: {
@@ -232,6 +250,9 @@ projected_pixel lens_projection::unproject(Eigen::Vector2d const& pixel) const {
 }
 
 double scale_on_axis(camera_intrinsics const& camera) {
+  if (camera.model == lens::field_of_view) {
+    return 2 * std::tan(0.5 * camera.distortion[0]) / camera.distortion[0];
+  }
   bool const shifted = camera.model == lens::double_sphere || camera.model == lens::unified;
   return shifted ? 1 / (1 + camera.distortion[0]) : 1;
 }

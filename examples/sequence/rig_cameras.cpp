@@ -15,7 +15,9 @@ namespace {
 constexpr double least_cosine = 0.70710678118654752;  // of 45 degrees
 
 /// Whether a camera of a mixed rig may have it.
-bool is_known(lens model) { return model != lens::unified && model != lens::extended_unified; }
+bool is_known(lens model) {
+  return model != lens::unified && model != lens::extended_unified && model != lens::field_of_view;
+}
 
 }  // namespace
 
@@ -70,7 +72,7 @@ void check_mixed(stereo_rig const& rig, std::string const& source) {
     if (!is_known(c.model)) {
       throw error(
           source + ": " + name +
-          " has a unified lens (omni, eucm), which no rig of several cameras has: must be "
+          " has a unified lens (omni, eucm) or fov, which no rig of several cameras has: must be "
           "pinhole with radtan, equidistant or none, or ds; --rig auto takes the first pair alone");
     }
     if (c.width != rig.left.width || c.height != rig.left.height) {

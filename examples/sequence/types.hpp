@@ -39,6 +39,7 @@ enum class lens {
   double_sphere,      ///< xi alpha
   unified,            ///< xi k1 k2 p1 p2 (OpenCV omnidir, Kalibr's omni)
   extended_unified,   ///< alpha beta
+  field_of_view,      ///< omega, radians (Kalibr's fov)
 };
 
 /// How many of the distortion's numbers are the shape of a sphere.

@@ -15,6 +15,7 @@
 #include "examples/sequence/calibration.hpp"
 #include "examples/sequence/reader.hpp"
 #include "ft/cameras/double_sphere.hpp"
+#include "ft/cameras/field_of_view.hpp"
 #include "ft/cameras/unified.hpp"
 #include "tests/support/sequence.hpp"
 
@@ -167,6 +168,27 @@ TEST(lens_projection, spheres_agree_with_ft) {
   for (auto const& [alpha, beta] : {std::pair(0.6, 1.1), std::pair(0.4, 0.8)}) {
     expect_same_lens(wide_camera(lens::extended_unified, {alpha, beta}),
                      ft::extended_unified<double>{f.fx, f.fy, f.cx, f.cy, alpha, beta});
+  }
+}
+
+TEST(lens_projection, field_of_view_agrees_with_ft) {
+  for (double const omega : {0.01, 0.9, 1.8}) {
+    seq::camera_intrinsics const c = wide_camera(seq::lens::field_of_view, {omega});
+    ft::field_of_view<double> const want{c.fx, c.fy, c.cx, c.cy, omega};
+    seq::lens_projection const lens(c);
+    for (double x = -3; x <= 3; x += 0.25) {
+      for (double y = -3; y <= 3; y += 0.25) {
+        auto const got = lens({x, y, 1});
+        auto const pixel = want.project({x, y, 1.0}).pixel;
+        ASSERT_TRUE(got.valid);
+        ASSERT_LT((got.pixel - Eigen::Vector2d(pixel.x, pixel.y)).norm(), 1e-9);
+        ASSERT_LT((lens.unproject(got.pixel).pixel - Eigen::Vector2d(x, y)).norm(), 1e-9);
+      }
+    }
+    EXPECT_FALSE(lens({1, 1, 0}).valid);
+    EXPECT_FALSE(lens.unproject({c.cx + c.fx * 1.6 / omega, c.cy}).valid);  // above 90 degrees
+    EXPECT_NEAR(seq::scale_on_axis(c),
+                (want.project({1e-6, 0.0, 1.0}).pixel.x - c.cx) / (1e-6 * c.fx), 1e-6);
   }
 }
 

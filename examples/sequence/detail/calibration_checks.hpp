@@ -55,8 +55,8 @@ void set_camera_matrix(camera_intrinsics& camera, std::vector<double> const& m,
                        std::string const& path, std::string const& key);
 
 /// Model and coefficients by a maker's name of the distortion: radtan, radtan8, radial-tangential,
-/// plumb_bob, rational_polynomial; equidistant, fisheye, kb4; none. More than 8 coefficients of
-/// OpenCV's are taken if the rest is zero. @throws seq::error
+/// plumb_bob, rational_polynomial; equidistant, fisheye, kb4; fov; none. More than 8 coefficients
+/// of OpenCV's are taken if the rest is zero. @throws seq::error
 void set_distortion(camera_intrinsics& camera, std::string const& model,
                     std::vector<double> coefficients, std::string const& path,
                     std::string const& key);

@@ -215,60 +215,68 @@ char const* title_of(std::string const& layout) {
                                  : "folders of images";
 }
 
-layout_of_files find_layout(std::string const& directory, open_options const& options) {
-  if (is_file(directory)) {
-    throw error(directory + ": a file; accepted are " + std::string(accepted_folders) +
-                bags_and_videos);
+namespace {
+
+/// Empty where none is recognised. Sets `mav0`, and a root that is its parent. @param given whether
+/// the times of the images are
+std::string name_of(layout_of_files& l, bool given) {
+  auto const has = [&](char const* name) { return is_directory((l.root / name).string()); };
+  auto const has_file = [&](char const* name) { return is_file((l.root / name).string()); };
+  bool const asl = has("mav0") || has_file("cam0/data.csv");
+  bool const plain = !asl && has_image_folders(l.root);
+  if (has("mav0")) {
+    l.mav0 = l.root / "mav0";
+    return "euroc";
   }
+  if (has("cam0") && !plain) {
+    l.mav0 = l.root;
+    l.root = l.root.parent_path();
+    return "euroc";
+  }
+  if ((has("image_0") || has("image_2")) && (has_file("times.txt") || !given)) { return "kitti"; }
+  bool const dates = has_file("image_00/timestamps.txt") || has_file("image_02/timestamps.txt");
+  if (dates && !given) { return "kitti_raw"; }
+  if (has_file("rgb.txt") || has_file("associations.txt")) { return "tum"; }
+  if (has_file("color.txt") && has_file("aligned_depth.txt")) { return "openloris"; }
+  if (has_scene_frames(l.root)) { return "7scenes"; }
+  return plain ? "folders" : "";
+}
+
+void find_frames(layout_of_files& l, open_options const& options) {
+  auto const has = [&](char const* name) { return is_directory((l.root / name).string()); };
+  bool const colour = has("image_2") || has("image_02");  // of KITTI
+  l.left_camera = colour && !has("image_0") && !has("image_00") ? 2 : 0;
+  if (l.name == "euroc") {
+    find_euroc_frames(l, options);
+  } else if (l.name == "kitti" || l.name == "kitti_raw") {
+    find_kitti_frames(l, options);
+  } else if (l.name == "tum" || l.name == "openloris") {
+    find_tum_frames(l, options);
+  } else if (l.name == "7scenes") {
+    find_scene_frames(l, options);
+  } else {
+    find_folder_frames(l, options);
+  }
+}
+
+}  // namespace
+
+layout_of_files find_layout(std::string const& directory, open_options const& options) {
+  std::string const accepted = std::string(accepted_folders) + bags_and_videos;
   if (!is_directory(directory)) {
-    throw error(directory + ": no such folder; accepted are " + std::string(accepted_folders) +
-                bags_and_videos);
+    throw error(
+        directory +
+        (is_file(directory) ? ": a file; accepted are " : ": no such folder; accepted are ") +
+        accepted);
   }
   layout_of_files l;
   std::error_code failure;
   l.root = fs::canonical(directory, failure);
   if (failure) { throw error(directory + ": cannot be read: " + failure.message()); }
-  auto const has = [&](char const* name) { return is_directory((l.root / name).string()); };
-  auto const has_file = [&](char const* name) { return is_file((l.root / name).string()); };
   bool const given = options.fps > 0 || !options.times.empty();
-  bool const asl = has("mav0") || has_file("cam0/data.csv");
-  bool const plain = !asl && has_image_folders(l.root);
-  bool const kitti = has("image_0") || has("image_2");
-  if (has("mav0")) {
-    l.mav0 = l.root / "mav0";
-  } else if (has("cam0") && !plain) {
-    l.mav0 = l.root;
-    l.root = l.root.parent_path();
-  }
-  if (!l.mav0.empty()) {
-    l.name = "euroc";
-    find_euroc_frames(l, options);
-  } else if (kitti && (has_file("times.txt") || !given)) {
-    l.name = "kitti";
-    l.left_camera = has("image_0") ? 0 : 2;
-    find_kitti_frames(l, options);
-  } else if (!given &&
-             (has_file("image_00/timestamps.txt") || has_file("image_02/timestamps.txt"))) {
-    l.name = "kitti_raw";
-    l.left_camera = has("image_00") ? 0 : 2;
-    find_kitti_frames(l, options);
-  } else if (has_file("rgb.txt") || has_file("associations.txt")) {
-    l.name = "tum";
-    find_tum_frames(l, options);
-  } else if (has_file("color.txt") && has_file("aligned_depth.txt")) {
-    l.name = "openloris";
-    find_tum_frames(l, options);
-  } else if (has_scene_frames(l.root)) {
-    l.name = "7scenes";
-    find_scene_frames(l, options);
-  } else if (plain) {
-    l.name = "folders";
-    l.left_camera = has("image_2") && !has("image_0") ? 2 : 0;
-    find_folder_frames(l, options);
-  } else {
-    throw error(directory + ": no sequence found; accepted are " + accepted_folders +
-                bags_and_videos);
-  }
+  l.name = name_of(l, given);
+  if (l.name.empty()) { throw error(directory + ": no sequence found; accepted are " + accepted); }
+  find_frames(l, options);
   bool const rate = l.rate > 0 && options.fps > 0;
   if (given && l.name != "folders" && !rate) {
     throw error(directory + ": " + (options.fps > 0 ? "fps" : "times") +

@@ -23,10 +23,6 @@ struct named_image {
   std::string number;
 };
 
-constexpr char const* accepted_times =
-    "accepted is a line for each image: seconds with a decimal point, or whole seconds, milli-, "
-    "micro- or nanoseconds, or dates such as 2011-09-26 13:02:25.964";
-
 /// The longest number in a text, of equal ones the last; with its decimal part.
 std::string number_in(std::string const& text) {
   std::string longest;
@@ -99,68 +95,6 @@ std::vector<named_image> list_images(fs::path const& folder) {
   return images;
 }
 
-/// Whole numbers, as nanoseconds: seconds to nanoseconds since 1970 by their size, others by their
-/// step.
-std::vector<std::int64_t> whole_times(std::vector<std::int64_t> const& values,
-                                      std::string const& path, std::string& unit,
-                                      std::vector<std::string>& warnings) {
-  auto const [low, high] = std::minmax_element(values.begin(), values.end());
-  std::int64_t const step = median_step(values);
-  struct unit_of {
-    char const* name;
-    std::int64_t ns;
-  };
-  for (unit_of const& u : {unit_of{"seconds", 1'000'000'000}, unit_of{"milliseconds", 1'000'000},
-                           unit_of{"microseconds", 1'000}, unit_of{"nanoseconds", 1}}) {
-    std::int64_t const second = 1'000'000'000 / u.ns;
-    bool const since_1970 = *low >= 1'000'000'000 * second && *high / 4 < 1'000'000'000 * second;
-    if (!since_1970 || step > 10 * second) { continue; }
-    unit = u.name;
-    std::vector<std::int64_t> times;
-    for (std::int64_t const value : values) { times.push_back(value * u.ns); }
-    return times;
-  }
-  stamp_column column(path, finest_frame_step_ns);
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    column.add(std::to_string(values[i]), static_cast<int>(i) + 1);
-  }
-  unit = "whole numbers";
-  return column.times_ns(warnings);
-}
-
-/// Times of texts that all have a decimal point, or none. @param lines of a file, or 0
-std::vector<std::int64_t> times_of(std::vector<std::pair<int, std::string>> const& texts,
-                                   std::string const& path, std::string& unit,
-                                   std::vector<std::string>& warnings) {
-  bool const seconds = texts.front().second.find('.') != std::string::npos;
-  std::vector<std::int64_t> values;
-  for (auto const& [line, text] : texts) {
-    if ((text.find('.') != std::string::npos) != seconds) {
-      fail_at(path, line,
-              "time stamp " + text + (seconds ? " has no" : " has a") +
-                  " decimal point, unlike those before: in seconds or in whole numbers?");
-    }
-    values.push_back(seconds ? seconds_to_ns(text, path, line) : nanoseconds(text, path, line));
-  }
-  unit = "seconds";
-  return seconds ? values : whole_times(values, path, unit, warnings);
-}
-
-/// Those of a file. @throws seq::error that says what is accepted
-std::vector<std::int64_t> times_of_lines(std::vector<std::pair<int, std::string>> const& lines,
-                                         std::string const& path, std::string& unit,
-                                         std::vector<std::string>& warnings) {
-  try {
-    if (is_date(lines.front().second)) {
-      std::vector<std::int64_t> dates;
-      for (auto const& [line, text] : lines) { dates.push_back(date_to_ns(text, path, line)); }
-      unit = "dates";
-      return dates;
-    }
-    return times_of(lines, path, unit, warnings);
-  } catch (error const& e) { throw error(std::string(e.what()) + "; " + accepted_times); }
-}
-
 /// The file with the times of the images; empty without any.
 std::string find_times(fs::path const& root, fs::path const& left) {
   for (fs::path const& folder : {root, left, left.parent_path()}) {
@@ -192,7 +126,8 @@ std::vector<listed_image> by_name(std::vector<named_image> const& images, fs::pa
                 "): a rate (--fps) or a file with times (--times, times.txt) says them");
   }
   std::string unit;
-  std::vector<std::int64_t> const times = times_of(texts, folder.string(), unit, layout.warnings);
+  std::vector<std::int64_t> const times =
+      times_of_texts(texts, folder.string(), unit, layout.warnings);
   layout.stamps_from = "file names, " + unit;
   std::vector<listed_image> listed;
   for (std::size_t const i :

@@ -70,6 +70,18 @@ bool is_date(std::string const& text);
 /// @throws seq::error naming file and line
 std::int64_t date_to_ns(std::string const& text, std::string const& path, int line);
 
+/// Times, ns, of numbers and texts that all have a decimal point, or none: seconds, or the unit
+/// that their size or their step says. @param texts with their lines in a file; in names of images
+/// any
+/// @param unit is set, for people @throws seq::error
+std::vector<std::int64_t> times_of_texts(std::vector<std::pair<int, std::string>> const& texts,
+                                         std::string const& path, std::string& unit,
+                                         std::vector<std::string>& warnings);
+/// The same, or dates, of a file. @throws seq::error that says what is accepted
+std::vector<std::int64_t> times_of_lines(std::vector<std::pair<int, std::string>> const& lines,
+                                         std::string const& path, std::string& unit,
+                                         std::vector<std::string>& warnings);
+
 /// Nanoseconds as milliseconds, for messages.
 std::string milliseconds(std::int64_t ns);
 

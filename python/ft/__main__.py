@@ -25,6 +25,10 @@ def track_live(arguments: argparse.Namespace) -> int:
 def view_recording(arguments: argparse.Namespace) -> int:
     from ft import view
 
+    if arguments.folder.endswith(".rrd"):
+        if arguments.record is not None:
+            raise ValueError(f"{arguments.folder}: --record takes a folder, and this is what it writes")
+        return view.show_file(arguments.folder)
     print(f"{view.show_recording(arguments.folder, arguments.record)} frames")
     return 0
 
@@ -132,8 +136,8 @@ def parser() -> argparse.ArgumentParser:
     shown.add_argument("--view", action="store_true", help="show the run in the viewer rerun, as it goes (rerun-sdk)")
     shown.add_argument("--record", metavar="FILE.rrd", help="write what the viewer shows to a file (rerun-sdk)")
     command.set_defaults(run=track_live)
-    command = commands.add_parser("view", help="shows what track_sequence --record FOLDER wrote (rerun-sdk)")
-    command.add_argument("folder")
+    command = commands.add_parser("view", help="shows what track_sequence --record FOLDER, or --record FILE.rrd, wrote (rerun-sdk)")
+    command.add_argument("folder", metavar="RECORDING", help="the folder; or a file .rrd, which rerun's own viewer opens")
     command.add_argument("--record", metavar="FILE.rrd", help="write it to a file, and start no viewer")
     command.set_defaults(run=view_recording)
     return top

@@ -9,6 +9,8 @@ timeline `frame` are the numbers of frames, on `time` their time stamps.
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -48,12 +50,17 @@ class Seen:
     milliseconds: Mapping[str, float] = field(default_factory=dict)
 
 
-def open_rerun(file: Union[str, Path, None] = None) -> ModuleType:
-    """The module rerun, which writes to the file from now on, or to a viewer that is started. Raises MissingPackage."""
+def _rerun() -> ModuleType:
     try:
         import rerun
     except ImportError as e:
         raise MissingPackage("the package rerun is missing: python -m pip install rerun-sdk") from e
+    return rerun
+
+
+def open_rerun(file: Union[str, Path, None] = None) -> ModuleType:
+    """The module rerun, which writes to the file from now on, or to a viewer that is started. Raises MissingPackage."""
+    rerun = _rerun()
     rerun.init("ft", spawn=file is None)
     if file is not None:
         rerun.save(str(file))
@@ -215,6 +222,8 @@ class Recording:
     def __init__(self, folder: Union[str, Path]) -> None:
         self.folder = Path(folder)
         self._file = self.folder / "recording.jsonl"
+        if self.folder.is_file():
+            raise RuntimeError(f"{folder}: a file; accepted are a folder that track_sequence --record wrote, and a file .rrd")
         try:
             with open(self._file, encoding="utf-8") as lines:
                 self.header = json.loads(lines.readline())
@@ -262,6 +271,15 @@ class Recording:
         return Seen(f["frame"], f["time_ns"], self.folder / f["image"], f["tracked"], f["keyframe"],
                     _matrices([f["T_world_camera"]])[0], keypoints, f["counts"],
                     dict(zip(self.header["stages"], f["stage_ms"])))
+
+
+def show_file(file: Union[str, Path]) -> int:
+    """Opens a .rrd file in rerun's viewer, and waits for it. Returns its exit status. Raises MissingPackage; RuntimeError
+    where there is no such file."""
+    if not Path(file).is_file():
+        raise RuntimeError(f"{file}: no such file")
+    _rerun()
+    return subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False).returncode
 
 
 def show_recording(folder: Union[str, Path], file: Union[str, Path, None] = None) -> int:

@@ -236,6 +236,28 @@ def test_the_program_says_which_package_is_missing(walk_folder, recording, tmp_p
     assert not (tmp_path / "track_sequence_out").exists()
 
 
+def test_a_file_of_the_viewer_is_handed_to_it(tmp_path):
+    (tmp_path / "rerun.py").write_text("import sys\n"
+                                       "if __name__ == '__main__':\n    print('viewer', *sys.argv[1:])\n    sys.exit(7)\n")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])}
+    file = tmp_path / "x.rrd"
+    file.write_bytes(b"RRF2")
+    done = run("view", file, cwd=tmp_path, env=environment)
+    assert done.returncode == 7 and done.stdout == f"viewer {file}\n"
+    done = run("view", file, "--record", tmp_path / "y.rrd", cwd=tmp_path, env=environment)
+    assert done.returncode == 1 and "--record takes a folder" in done.stderr
+    done = run("view", tmp_path / "gone.rrd", cwd=tmp_path, env=environment)
+    assert done.returncode == 1 and "no such file" in done.stderr and "Traceback" not in done.stderr
+    other = tmp_path / "recording.jsonl"
+    other.write_text("{}")
+    done = run("view", other, cwd=tmp_path, env=environment)
+    assert done.returncode == 1 and "accepted are a folder" in done.stderr
+    (tmp_path / "rerun.py").write_text("raise ImportError('not here')\n")
+    done = run("view", file, cwd=tmp_path, env=environment)
+    assert done.returncode == 1 and "rerun-sdk" in done.stderr and "Traceback" not in done.stderr
+    assert ".rrd" in run("view", "--help").stdout
+
+
 def test_a_run_is_shown_or_recorded_not_both(walk_folder, tmp_path):
     done = run("track", walk_folder, "--view", "--record", tmp_path / "a.rrd")
     assert done.returncode == 2 and "--record" in done.stderr

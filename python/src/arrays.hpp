@@ -190,14 +190,34 @@ private:
     return a.device_type() == (there ? nb::device::cuda::value : nb::device::cpu::value);
   }
   static char const* place_name(bool there) { return there ? "the GPU" : "the host"; }
+  /// The call that makes a grey image of one with channels.
+  static std::string mend_of_shape(any_array const& a) {
+    if (a.ndim() != 3) { return {}; }
+    std::size_t const channels = a.shape(2);
+    if (channels == 1) { return ": image[:, :, 0] has them"; }
+    if (channels != 3 && channels != 4) { return {}; }
+    return std::string(": cv2.cvtColor(image, cv2.COLOR_") + (channels == 3 ? "BGR" : "BGRA") +
+           "2GRAY) makes a colour image grey";
+  }
+  /// The call that makes bytes of numbers.
+  static std::string mend_of_type(any_array const& a) {
+    if (a.dtype().code == static_cast<std::uint8_t>(nb::dlpack::dtype_code::Float)) {
+      return ": numpy.uint8(image.clip(0, 1) * 255 + 0.5) makes it of numbers from 0 to 1";
+    }
+    if (a.dtype() == nb::dtype<std::uint16_t>()) {
+      return ": numpy.uint8(image >> 8) makes it of 16 bits";
+    }
+    return {};
+  }
   image bytes(nb::handle given, std::string const& name, bool or_bool) {
     any_array const a = take(given, name);
     if (a.ndim() != 2) {
       throw argument_error(name + " has " + std::to_string(a.ndim()) +
-                           " dimensions, must have 2 (rows, columns)");
+                           " dimensions, must have 2 (rows, columns)" + mend_of_shape(a));
     }
     if (a.dtype() != nb::dtype<std::uint8_t>() && !(or_bool && a.dtype() == nb::dtype<bool>())) {
-      throw argument_error(name + " has another type than uint8" + (or_bool ? " and bool" : ""));
+      throw argument_error(name + " has another type than uint8" + (or_bool ? " and bool" : "") +
+                           mend_of_type(a));
     }
     require_rows(a, name);
     require_place(a, name);

@@ -125,6 +125,23 @@ def test_strides_shapes_and_types_are_named(walk, change, word):
     assert odometry.track(left, right, t).keyframe
 
 
+@pytest.mark.parametrize("change, call", [
+    (lambda a: np.repeat(a[:, :, None], 3, 2), "cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)"),
+    (lambda a: np.repeat(a[:, :, None], 4, 2), "cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY)"),
+    (lambda a: a[:, :, None], "image[:, :, 0]"),
+    (lambda a: a.astype(np.float32) / 255, "numpy.uint8(image.clip(0, 1) * 255 + 0.5)"),
+    (lambda a: a.astype(np.float64) / 255, "numpy.uint8(image.clip(0, 1) * 255 + 0.5)"),
+    (lambda a: a.astype(np.uint16) << 8, "numpy.uint8(image >> 8)"),
+], ids=["colour", "with alpha", "one channel", "float32", "float64", "16 bits"])
+def test_the_call_that_mends_an_image_is_named(walk, change, call):
+    left, right, t = walk.frame(0)
+    with pytest.raises(ValueError, match="the left image") as error:
+        walk.odometry().track(change(left), right, t)
+    assert call in str(error.value)
+    if "cv2" not in call:
+        assert np.array_equal(eval(call, {"numpy": np, "image": change(left)}), left)  # it does
+
+
 def test_results_outlive_what_made_them(walk):
     odometry = walk.odometry()
     pose = follow(odometry, walk, 3)[-1]

@@ -135,6 +135,51 @@ def test_trajectories_are_written_and_read(tmp_path):
         ft.Trajectory.of(poses[::-1]).write_tum(tmp_path / "c.txt")
 
 
+def test_pykitti_agrees(tmp_path):
+    """A raw drive: times, cameras, and the poses of oxts as those of each left camera."""
+    pykitti = pytest.importorskip("pykitti")
+    random = np.random.default_rng(4)
+    drive = tmp_path / "2011_09_26/2011_09_26_drive_0001_sync"
+    dates = [f"2011-09-26 13:02:{25 + 0.1 * i:012.9f}\n" for i in range(4)]
+    for camera in range(4):
+        (drive / f"image_0{camera}/data").mkdir(parents=True)
+        (drive / f"image_0{camera}/timestamps.txt").write_text("".join(dates))
+        for i in range(4):
+            write_png(drive / f"image_0{camera}/data/{i:010d}.png", np.full((48, 64), 10 * camera + i, np.uint8))
+    (drive / "oxts/data").mkdir(parents=True)
+    (drive / "oxts/timestamps.txt").write_text("".join(dates))
+    for i in range(4):
+        numbers = [49.0 + 1e-5 * i, 8.4 + 2e-5 * i, 110 + 0.1 * i, *(0.1 * random.normal(size=3)), *random.normal(size=19)]
+        (drive / f"oxts/data/{i:010d}.txt").write_text(" ".join(f"{v:.12f}" for v in numbers) + " 4 10 4 4 0\n")
+
+    def rotation():
+        q, _ = np.linalg.qr(random.normal(size=(3, 3)))
+        return q * np.linalg.det(q)
+
+    def line(values):
+        return " ".join(f"{v:.15e}" for v in np.ravel(values)) + "\n"
+
+    for name in ("velo_to_cam", "imu_to_velo"):
+        (drive.parent / f"calib_{name}.txt").write_text(
+            f"calib_time: 15-Mar-2012 11:37:16\nR: {line(rotation())}T: {line(random.normal(size=3))}")
+    rectifying = rotation()
+    (drive.parent / "calib_cam_to_cam.txt").write_text("calib_time: 09-Jan-2012 13:57:47\n" + "".join(
+        f"S_rect_0{c}: 64 48\nR_rect_0{c}: {line(rectifying)}P_rect_0{c}: 40 0 32 {-15 * c} 0 40 24 0 0 0 1 0\n" for c in range(4)))
+    theirs = pykitti.raw(str(tmp_path), "2011_09_26", "0001")
+    for left, T_left_imu in ((0, theirs.calib.T_cam0_imu), (2, theirs.calib.T_cam2_imu)):
+        ours = ft.read_sequence(drive)
+        assert ours.layout == "kitti_raw" and len(ours) == 4 and ours.warnings == []
+        assert ours[3].right[0, 0] == 10 * left + 13
+        assert ours.baseline == pytest.approx(theirs.calib.b_gray if left == 0 else theirs.calib.b_rgb)
+        for k, (time, packet) in enumerate(zip(theirs.timestamps, theirs.oxts)):
+            since = (time - type(time)(1970, 1, 1)).total_seconds()
+            assert abs(1e-9 * int(ours.ground_truth.time_ns[k]) - since) < 1e-5
+            expected = packet.T_w_imu @ np.linalg.inv(T_left_imu)
+            assert np.abs(ours.ground_truth.poses[k] - expected).max() < 1e-6
+        for camera in (0, 1):
+            shutil.rmtree(drive / f"image_0{camera}", ignore_errors=True)
+
+
 def test_evo_agrees(tmp_path):
     evo = pytest.importorskip("evo.core.metrics")
     from evo.core import trajectory as t

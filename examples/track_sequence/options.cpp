@@ -58,8 +58,8 @@ void add_tracking(CLI::App& app, arguments& a) {
          "auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), "
          "mono (one camera, of a pair the left one; without an IMU the scale of the path is "
          "not known), rgbd (one camera with depth images), rectified (a pair), fisheye "
-         "(two Kannala-Brandt cameras, not rectified) or mixed (all cameras of a rig, of any "
-         "lenses, not rectified); monocular is mono")
+         "(two Kannala-Brandt cameras, not rectified) or mixed (all cameras of a rig, not "
+         "rectified: pinhole, radtan, Kannala-Brandt or double sphere); monocular is mono")
       ->check(CLI::IsMember(
           {"auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "mixed", "monocular"}))
       ->capture_default_str();

@@ -78,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
                          choices=["auto", "stereo", "mono", "rgbd", "rectified", "fisheye", "mixed", "monocular"],
                          help="auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), mono (one "
                               "camera, of a pair the left one), rgbd (with depth images), rectified or fisheye (a pair), mixed "
-                              "(all cameras of a rig, of any lenses, as they are); monocular is mono")
+                              "(all cameras of a rig as they are: pinhole, radtan, Kannala-Brandt or double sphere); monocular is mono")
     command.add_argument("--image-bits", type=count(8, 16), metavar="BITS",
                          help="that hold the samples of grey images of 16 bits; default: 16")
     command.add_argument("--max-time-difference", type=number(0, 1e4), metavar="MS",

@@ -246,7 +246,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     warning where up to eight images of each camera need 14 or fewer. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
     also reads mav0/imu0, imu0 or imu.csv, or a bag's sensor_msgs/Imu, if the calibration says where it is (Kalibr's
     chain). rig: auto (what the folder holds), stereo, mono (the left camera alone), rgbd, or mixed: a pair and all cameras beside it (cam2 ..., of
-    EuRoC's layout or of folders with Kalibr's chain; those of a bag), of any lenses, as they are; auto and stereo take the pair
+    EuRoC's layout or of folders with Kalibr's chain; those of a bag), as they are: pinhole, radtan, Kannala-Brandt or double sphere; auto and stereo take the pair
     alone.
     depth_unit: metres per unit of depth images; None = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
     stamps of a frame's images may be apart; None = 1 ms for a pair, 20 ms for depth images. Warns of what was left out or

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Cameras of any models fixed to each other: pairs, rectified or not, depth cameras and
-/// single ones mixed.
+/// @file Cameras of the models of any_camera fixed to each other: pairs, rectified or not, depth
+/// cameras and single ones mixed.
 #pragma once
 
 #include <cmath>
@@ -130,7 +130,7 @@ struct mixed_rig_camera {
   }
 };
 
-/// A multi_rig of cameras of any models.
+/// A multi_rig of cameras of the models of any_camera.
 template <int N>
 using mixed_rig = multi_rig<N, mixed_rig_camera>;
 

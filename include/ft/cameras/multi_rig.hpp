@@ -122,7 +122,7 @@ struct multi_rig {
   }
 };
 
-/// Whether a rig has cameras of any models, as a mixed_rig.
+/// Whether a rig has cameras of the models of any_camera, as a mixed_rig.
 template <typename Rig>
 inline constexpr bool is_mixed_v = false;
 template <int N, typename Camera>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file The parts of a rig of cameras of any models.
+/// @file The parts of a rig of cameras of the models of any_camera.
 #pragma once
 
 #include <cstddef>

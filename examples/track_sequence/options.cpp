@@ -139,7 +139,8 @@ void check_ranges(CLI::App const& app, arguments const& a) {
 int parse(int argc, char** argv, arguments& a) {
   CLI::App app(
       "Tracks a sequence with ft: a pair of cameras or one (EuRoC or KITTI odometry layout, or "
-      "folders of images), or a camera with depth images (TUM RGB-D layout).");
+      "folders of images), or a camera with depth images (layouts of TUM RGB-D, OpenLORIS and "
+      "7-Scenes).");
   std::string folder;
   add_input(app, a, folder);
   add_tracking(app, a);

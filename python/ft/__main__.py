@@ -58,7 +58,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=ft.__version__)
     commands = top.add_subparsers(dest="command", required=True)
     command = commands.add_parser(
-        "track", help="tracks a sequence in EuRoC, KITTI or TUM RGB-D layout, folders of images, a bag, or videos",
+        "track", help="tracks a sequence in the layout of EuRoC, KITTI or TUM RGB-D and others, folders of images, a bag, or videos",
         epilog="The exit status is 0; 1 for an error, or where no frame could be tracked; 2 for a mistake in the options; 3 "
                "where Ctrl-C, SIGTERM or an image that cannot be read stopped the run: what was tracked until then is written.")
     command.add_argument("folder", nargs="*", metavar="RECORDING",

@@ -128,7 +128,7 @@ trajectory read_tum_poses(std::string const& path, layout_of_files const& layout
   trajectory poses = read_tum(path, &warnings);
   if (layout.name != "tum" || layout.rate == 0) { return poses; }
   for (stamped_pose& pose : poses) {
-    pose.time_ns = std::llround(static_cast<double>(pose.time_ns) / layout.rate);
+    pose.time_ns = time_of_frame(1e-9 * static_cast<double>(pose.time_ns), layout.rate, path);
   }
   return poses;
 }

@@ -160,7 +160,7 @@ std::vector<std::int64_t> frame_times(std::vector<std::int64_t> const& numbers,
     }
     for (std::int64_t const n : numbers) {
       double const frames = static_cast<double>(n - numbers.front()) / static_cast<double>(step);
-      times.push_back(std::llround(frames * 1e9 / options.fps));
+      times.push_back(time_of_frame(frames, options.fps, layout.root.string()));
     }
     layout.stamps_from = to_text(options.fps) + " images a second, as asked for";
     return times;

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // 7-Scenes: frame-000000.color.png, .depth.png and .pose.txt of each frame in one folder
 // (https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/).
-#include <cmath>
 #include <map>
 #include <system_error>
 #include <tuple>
 
 #include "examples/sequence/detail/layout.hpp"
+#include "examples/sequence/detail/stamps.hpp"
 #include "examples/sequence/detail/text.hpp"
 
 namespace seq::detail {
@@ -88,8 +88,8 @@ void find_scene_frames(layout_of_files& layout, open_options const& options) {
   layout.stamps_from = to_text(rate) + " images a second, " +
                        (options.fps > 0 ? "as asked for" : "as 7-Scenes was recorded");
   for (auto const& [number, files] : found) {
-    std::int64_t const time =
-        std::llround(static_cast<double>(number - found.begin()->first) * 1e9 / rate);
+    std::int64_t const time = time_of_frame(static_cast<double>(number - found.begin()->first),
+                                            rate, layout.root.string());
     if (!files.pose.empty()) { layout.poses.push_back({time, files.pose}); }
     bool const complete = layout.kind == camera_kind::mono || !files.depth.empty();
     if (!files.colour.empty() && complete) {

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
-#include <cmath>
 #include <system_error>
 #include <utility>
 
@@ -35,7 +34,7 @@ std::vector<std::pair<int, std::vector<std::string>>> read_words(std::string con
 /// A stamp in seconds, or the number of a frame. @param rate 0 = seconds; of frames
 std::int64_t time_of(std::string const& text, std::string const& path, int line, double rate) {
   std::int64_t const time = seconds_to_ns(text, path, line);
-  return rate > 0 ? std::llround(static_cast<double>(time) / rate) : time;
+  return rate > 0 ? time_of_frame(1e-9 * static_cast<double>(time), rate, path) : time;
 }
 
 /// Whether the first words of a list count frames, as ICL-NUIM has them: whole numbers, one by one.

@@ -2,6 +2,7 @@
 #include "examples/sequence/detail/stamps.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <numeric>
 
@@ -159,6 +160,16 @@ std::int64_t smallest_distance(std::vector<std::int64_t> const& a,
   return smallest;
 }
 
+std::int64_t time_of_frame(double frames, double rate, std::string const& path) {
+  double const seconds = frames / rate;
+  constexpr double most = 4.6e9;
+  if (!(std::fabs(seconds) <= most)) {
+    throw error(path + ": frame " + to_text(frames) + " at " + to_text(rate) +
+                " images a second is beyond the limit of " + to_text(most) + " seconds");
+  }
+  return std::llround(frames * 1e9 / rate);
+}
+
 bool is_date(std::string const& text) {
   std::string const word = trim(text);
   return word.size() >= 19 && word[4] == '-' && word[7] == '-' && word[13] == ':' &&
@@ -193,7 +204,12 @@ std::int64_t date_to_ns(std::string const& text, std::string const& path, int li
   std::int64_t const days = 365 * (year - 1970) + leap_days(year - 1) - leap_days(1969) +
                             days_before[month - 1] + (leap && month > 2 ? 1 : 0) + day - 1;
   std::int64_t const minutes = (days * 24 + hour) * 60 + minute;
-  return minutes * 60'000'000'000 + seconds_to_ns(word.substr(17), path, line);
+  constexpr std::int64_t in_minute = 60'000'000'000;
+  std::int64_t const seconds = seconds_to_ns(word.substr(17), path, line);
+  if (seconds < 0 || seconds > in_minute + in_minute / 60) {
+    fail_at(path, line, "'" + word + "' is not a date such as 2011-09-26 13:02:25.964");
+  }
+  return minutes * in_minute + seconds;
 }
 
 std::string milliseconds(std::int64_t ns) { return to_text(1e-6 * static_cast<double>(ns)); }

@@ -88,6 +88,10 @@ TEST(reader_seven_scenes, colour_depth_and_poses_go_together) {
   EXPECT_TRUE(seq::sequence::open(folder.path(), options).warnings().empty());
   EXPECT_EQ(seq::sequence::open(folder.path(), as(seq::camera_kind::mono)).kind(),
             seq::camera_kind::mono);
+  put(folder, "frame-999999999.color.png", 0);
+  put_depth(folder, "frame-999999999.depth.png", 1500, 0);
+  options.fps = 1e-3;
+  EXPECT_TRUE(contains(refusal_of(folder.path(), options), "beyond the limit"));
   options.fps = 0;
   options.times = folder.write("elsewhere/stamps.txt", "0\n1\n2\n3\n");
   EXPECT_TRUE(contains(refusal_of(folder.path(), options), "times of their own"));

@@ -124,6 +124,15 @@ public:
       seq::write_depth_png(files_.path(std::string("tum/depth/") + name),
                            {16, 12, std::vector<std::uint16_t>(16 * 12, 2000)});
     }
+    files_.write("scenes/camera.txt", "10 10 8 6\n");
+    for (char const* name : {"scenes/frame-000000", "scenes/frame-000001"}) {
+      std::string const at = name;
+      picture(at + ".color.png");
+      seq::write_depth_png(files_.path(at + ".depth.png"),
+                           {16, 12, std::vector<std::uint16_t>(16 * 12, 2000)});
+      files_.write(at + ".pose.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
+    }
+    write_raw_drive();
     files_.write("folders/times.txt", "0.0\n0.1\n");
     files_.write(
         "folders/stereo.yaml",
@@ -166,6 +175,25 @@ public:
   folder const& files() const { return files_; }
 
 private:
+  /// KITTI raw's
+  void write_raw_drive() const {
+    std::string const dates = "2011-09-26 13:02:25.9\n2011-09-26 13:02:26.0\n";
+    for (char const* camera : {"raw/image_00/", "raw/image_01/"}) {
+      std::string const at = camera;
+      files_.write(at + "timestamps.txt", dates);
+      picture(at + "data/0000000000.png");
+      picture(at + "data/0000000001.png");
+    }
+    files_.write("raw/calib_cam_to_cam.txt",
+                 "S_rect_00: 16 12\nR_rect_00: 1 0 0 0 1 0 0 0 1\n"
+                 "P_rect_00: 10 0 8 0 0 10 6 0 0 0 1 0\nP_rect_01: 10 0 8 -5 0 10 6 0 0 0 1 0\n");
+    for (char const* name : {"raw/calib_imu_to_velo.txt", "raw/calib_velo_to_cam.txt"}) {
+      files_.write(name, "R: 1 0 0 0 1 0 0 0 1\nT: 0 0 0\n");
+    }
+    files_.write("raw/oxts/timestamps.txt", dates);
+    files_.write("raw/oxts/data/0000000000.txt", "49 8 100 0 0 0\n");
+    files_.write("raw/oxts/data/0000000001.txt", "49.1 8 100 0 0 0.1\n");
+  }
   void picture(std::string const& name) const {
     fs::create_directories(fs::path(files_.path(name)).parent_path());
     seq::write_png(files_.path(name), {16, 12, std::vector<std::uint8_t>(16 * 12, 40)});
@@ -304,7 +332,7 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
   if (size == 0) { return 0; }
   static sequences const s;
   std::string const bytes(reinterpret_cast<char const*>(data) + 1, size - 1);
-  switch (data[0] % 24) {
+  switch (data[0] % 28) {
     case 1:
       s.open_with("euroc", "mav0/cam0/sensor.yaml", bytes);
       break;
@@ -374,6 +402,18 @@ extern "C" int LLVMFuzzerTestOneInput(std::uint8_t const* data, std::size_t size
       break;
     case 23:
       s.open_with("tum", "depth/0.png", bytes);
+      break;
+    case 24:
+      s.open_with("scenes", "frame-000001.pose.txt", bytes);
+      break;
+    case 25:
+      s.open_with("raw", "image_00/timestamps.txt", bytes);
+      break;
+    case 26:
+      s.open_with("raw", "calib_cam_to_cam.txt", bytes);
+      break;
+    case 27:
+      s.open_with("raw", "oxts/data/0000000001.txt", bytes);
       break;
     default:
       read_settings(s.files(), bytes);

@@ -64,6 +64,10 @@ std::vector<std::pair<std::size_t, std::size_t>> nearest_pairs(std::vector<std::
 std::int64_t smallest_distance(std::vector<std::int64_t> const& a,
                                std::vector<std::int64_t> const& b);
 
+/// The time of a frame, ns, by how many a rate is behind the first. @param path for the message
+/// @throws seq::error beyond 4.6e9 s, so that no difference of two overflows
+std::int64_t time_of_frame(double frames, double rate, std::string const& path);
+
 /// Whether a text begins as a date does: 2011-09-26 13:02:25.96
 bool is_date(std::string const& text);
 /// A date and time of day, UTC, with decimals of the second, as nanoseconds since 1970.

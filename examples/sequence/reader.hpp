@@ -60,7 +60,8 @@ struct open_options {
   /// for a pair of cameras, 20 ms for colour and depth.
   std::optional<std::int64_t> max_time_difference_ns;
   /// Metres per unit of the depth images, 1e-9 to 1e3; 0 = as the calibration says (camera.txt, or
-  /// a settings file's RGBD.DepthMapFactor), else 1/5000, as TUM RGB-D has it.
+  /// a settings file's RGBD.DepthMapFactor), else 0.001 of OpenLORIS and 7-Scenes, else 1/5000, as
+  /// TUM RGB-D has it.
   double depth_unit = 0;
   /// Bits that hold the samples of 16-bit images of one channel, 8 to 16; 0 = 16, with a warning
   /// where up to eight images of each camera have none of 2^14 or more. Depth images have all 16.

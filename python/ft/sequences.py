@@ -248,7 +248,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     chain). rig: auto (what the folder holds), stereo, mono (the left camera alone), rgbd, or mixed: a pair and all cameras beside it (cam2 ..., of
     EuRoC's layout or of folders with Kalibr's chain; those of a bag), as they are: pinhole, radtan, Kannala-Brandt or double sphere; auto and stereo take the pair
     alone.
-    depth_unit: metres per unit of depth images; None = as the calibration says, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
+    depth_unit: metres per unit of depth images; None = as the calibration says, else 0.001 of OpenLORIS and 7-Scenes, else 1/5000. min_depth, max_depth: those of ft.RgbdCamera. max_time_difference_ns: how far the
     stamps of a frame's images may be apart; None = 1 ms for a pair, 20 ms for depth images. Warns of what was left out or
     looks wrong. Raises RuntimeError that names the file and what is wrong; ValueError for arguments out of range."""
     options = {

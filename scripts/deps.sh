@@ -59,6 +59,23 @@ ft_not_silent() {
   wait "$pid"
 }
 
+# ft_start_pulse WHAT: a line now and then, until ft_stop_pulse, while a command says nothing. No job of this shell, which waits
+# for its jobs.
+ft_start_pulse() {
+  local what=$1 begin=$SECONDS
+  exec 4>&1
+  pulse=$(
+    while sleep 50 4>&- && kill -0 $$ 2>/dev/null; do
+      printf -- '-- %s: %d s\n' "$what" $((SECONDS - begin)) >&4
+    done >/dev/null 2>&1 &
+    echo $!
+  )
+}
+ft_stop_pulse() {
+  if [[ -n ${pulse:-} ]]; then kill "$pulse" 2>/dev/null || true; fi
+  pulse=
+}
+
 # ft_install_missing build|python|test
 ft_install_missing() {
   local wanted=("${ft_build_packages[@]}") missing optional=()

@@ -56,21 +56,6 @@ read_cpu() {
 steps=()
 step() { steps+=("$(printf '%q ' "$@")"); }
 
-# A line now and then while a command says nothing. No job of this shell, which waits for its jobs.
-exec 4>&1
-start_pulse() {
-  pulse=$(
-    while sleep 50 4>&- && kill -0 $$ 2>/dev/null; do
-      printf -- '-- %s: %d s\n' "$current" $((SECONDS - begin)) >&4
-    done >/dev/null 2>&1 &
-    echo $!
-  )
-}
-stop_pulse() {
-  if [[ -n ${pulse:-} ]]; then kill "$pulse" 2>/dev/null || true; fi
-  pulse=
-}
-
 # A heading, the command, the time it took. The first failure ends the run.
 run_step() {
   current="$1"
@@ -80,9 +65,9 @@ run_step() {
   read_cpu
   cpu_begin=$cpu
   printf '\n== %s\n' "$current"
-  start_pulse
+  ft_start_pulse "$current"
   "$@"
-  stop_pulse
+  ft_stop_pulse
   read_cpu
   timings+=("$(printf '%5d s  %5d s  %s' $((SECONDS - begin)) $((cpu - cpu_begin)) "$current")")
 }
@@ -96,7 +81,7 @@ run_steps() {
 
 finish() {
   local status=$?
-  stop_pulse
+  ft_stop_pulse
   stop_ahead
   if [[ -n ${environment:-} ]]; then kill "$environment" 2>/dev/null || true; fi
   rm -f "$cpu_file"

@@ -85,6 +85,7 @@ public:
     virtual unsigned char const* matched() const = 0;
     virtual odometry_map download_map(int b) const = 0;
     virtual std::vector<placed_keyframe> placed_keyframes(int b) const = 0;
+    virtual std::vector<closed_loop> closed_loops(int b) const = 0;
     virtual void save_map(std::ostream& to, int b) const = 0;
     virtual void load_map(std::istream& from, int b) = 0;
     virtual std::vector<stage_time> stage_times() const = 0;
@@ -138,6 +139,7 @@ public:
   std::vector<placed_keyframe> placed_keyframes(int b = 0) const {
     return made().placed_keyframes(b);
   }
+  std::vector<closed_loop> closed_loops(int b = 0) const { return made().closed_loops(b); }
   void save_map(std::ostream& to, int b = 0) const { made().save_map(to, b); }
   void load_map(std::istream& from, int b = 0) { made().load_map(from, b); }
   std::vector<stage_time> stage_times() const { return made().stage_times(); }

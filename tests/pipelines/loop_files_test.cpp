@@ -61,6 +61,7 @@ struct known {
       ft::detail::path_loop l;
       l.from = from;
       l.to = 4;
+      l.inliers = 5 + from;
       put_information(l.information);
       path.loops.push_back(l);
     }
@@ -109,6 +110,7 @@ TEST(LoopFiles, ComeBackAsTheyWere) {
   }
   EXPECT_EQ(got.loops[1].from, 1);
   EXPECT_EQ(got.loops[1].to, 4);
+  EXPECT_EQ(got.loops[1].inliers, 6);
 }
 
 TEST(LoopFiles, TheScalesOfOneCameraComeBack) {
@@ -131,6 +133,8 @@ TEST(LoopFiles, NumbersThatNobodyCanFollowAreRefused) {
       [](known& k) { k.path.loops[0].from = -1; },
       [](known& k) { k.path.loops[1].to = 5; },
       [](known& k) { k.path.loops[1].to = 0; },
+      [](known& k) { k.path.loops[1].inliers = -1; },
+      [](known& k) { k.path.loops[1].inliers = 1 << 20; },
       [](known& k) { k.path.loops[0].information[1] = 1e30; },
       [](known& k) { k.path.loops[0].information[0] = std::nan(""); },
       [](known& k) { k.path.keyframes[2].information[6] = -1; },

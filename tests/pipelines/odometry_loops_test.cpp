@@ -70,6 +70,7 @@ ft::odometry_params params(bool with_loops = true) {
 struct answers {
   std::vector<ft::tracking> told;
   std::vector<ft::placed_keyframe> placed;
+  std::vector<ft::closed_loop> loops;
   int closed = 0;
 };
 template <typename Odometry, typename Rig>
@@ -82,6 +83,7 @@ answers run(Odometry& odo, Rig const& rig, int count = frames) {
     a.closed += a.told.back().loops_closed;
   }
   a.placed = odo.placed_keyframes();
+  a.loops = odo.closed_loops();
   return a;
 }
 bool same(ft::rigid<double> const& a, ft::rigid<double> const& b) {
@@ -92,6 +94,24 @@ double off(ft::rigid<double> const& T_world_camera, int i) {
   auto const want = pose_at(0).inverse().cast<double>() * pose_at(i).cast<double>();
   auto const d = T_world_camera.t - want.t;
   return std::sqrt(ft::dot(d, d));
+}
+
+/// The loops that were told are those of a lap, and their motions are the true ones.
+void expect_true_loops(answers const& a) {
+  EXPECT_EQ(static_cast<int>(a.loops.size()), a.closed);
+  for (ft::closed_loop const& l : a.loops) {
+    ASSERT_TRUE(l.from >= 0 && l.from < l.to && at(l.to) < a.placed.size());
+    EXPECT_EQ(l.from_time_ns, a.placed[at(l.from)].time_ns);
+    EXPECT_EQ(l.to_time_ns, a.placed[at(l.to)].time_ns);
+    EXPECT_GE(l.inliers, params().loops.min_inliers);
+    EXPECT_EQ(l.scale, 1);
+    auto const place = [](std::int64_t time_ns) {
+      return pose_at(static_cast<int>(time_ns / period) - 1).template cast<double>();
+    };
+    auto const want = place(l.from_time_ns).inverse() * place(l.to_time_ns);
+    auto const d = l.T_from_to.t - want.t;
+    EXPECT_LT(std::sqrt(ft::dot(d, d)), 0.03) << l.from << " to " << l.to;
+  }
 }
 
 template <typename Backend>
@@ -105,7 +125,8 @@ void closes_a_lap(Exec const& exec, Rig const& rig) {
   answers const with = run(odo, rig);
   answers const without = run(plain, rig);
   EXPECT_GT(with.closed, 0);
-  EXPECT_TRUE(without.placed.empty());
+  EXPECT_TRUE(without.placed.empty() && without.loops.empty());
+  expect_true_loops(with);
   ASSERT_GT(with.placed.size(), 20u);
   int before = 0;
   for (int i = 0; i < frames; ++i) {
@@ -161,8 +182,10 @@ TYPED_TEST(OdometryLoops, AMapThatALostCameraBeginsIsJoinedWithTheFirstOne) {
   }
   EXPECT_TRUE(guessed) << "the second map is where the first one says anyway";
   EXPECT_LT(off(told.back().T_world_camera, places.back()), 0.05);
+  EXPECT_EQ(told.back().map_id, 1);
   for (auto const& k : odo.placed_keyframes()) {
     EXPECT_EQ(k.map, 1);
+    EXPECT_FALSE(k.loaded);
     EXPECT_LT(off(k.T_world_camera, places[at(k.time_ns / period - 1)]), 0.06);
   }
 }
@@ -235,7 +258,9 @@ TYPED_TEST(OdometryLoops, ASavedMapIsFoundFromAnywhere) {
   auto const before = second.placed_keyframes();
   auto const were = first.placed_keyframes();
   ASSERT_EQ(before.size(), were.size());
+  EXPECT_EQ(second.closed_loops().size(), first.closed_loops().size());
   for (std::size_t k = 0; k < before.size(); ++k) {
+    EXPECT_TRUE(before[k].loaded && !were[k].loaded);
     EXPECT_EQ(before[k].time_ns, were[k].time_ns);
     EXPECT_EQ(before[k].map, 1);
     EXPECT_TRUE(same(before[k].T_world_camera, were[k].T_world_camera));
@@ -253,7 +278,16 @@ TYPED_TEST(OdometryLoops, ASavedMapIsFoundFromAnywhere) {
   EXPECT_GT(closed, 0);
   EXPECT_LT(off(told.T_world_camera, to - 1), 0.05);
   EXPECT_GT(off(told.T_odom_camera, to - 1), 0.3);
-  for (auto const& k : second.placed_keyframes()) { EXPECT_EQ(k.map, 1) << k.time_ns; }
+  EXPECT_EQ(told.map_id, 1) << "joined with the loaded one";
+  auto const placed = second.placed_keyframes();
+  ASSERT_GT(placed.size(), before.size());
+  for (std::size_t k = 0; k < placed.size(); ++k) {
+    EXPECT_EQ(placed[k].map, 1) << k;
+    EXPECT_EQ(placed[k].loaded, k < before.size()) << k;
+  }
+  for (ft::closed_loop const& l : second.closed_loops()) {
+    EXPECT_TRUE(placed[at(l.from)].loaded && !placed[at(l.to)].loaded);
+  }
 }
 
 TYPED_TEST(OdometryLoops, ItIsFoundInThreeFrames) {
@@ -291,6 +325,7 @@ TYPED_TEST(OdometryLoops, ACameraInAnotherRoomIsNotFound) {
     EXPECT_EQ(told.loops_closed, 0) << i;
   }
   EXPECT_EQ(told.maps, 2);
+  EXPECT_EQ(told.map_id, 2);
   auto const placed = odo.placed_keyframes();
   EXPECT_EQ(placed.front().map, 1);
   EXPECT_EQ(std::count_if(placed.begin(), placed.end(), [](auto const& k) { return k.map == 2; }),

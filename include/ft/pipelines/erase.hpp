@@ -140,6 +140,7 @@ public:
   std::vector<placed_keyframe> placed_keyframes(int b) const override {
     return inner_.placed_keyframes(b);
   }
+  std::vector<closed_loop> closed_loops(int b) const override { return inner_.closed_loops(b); }
   void save_map(std::ostream& to, int b) const override {
     [[maybe_unused]] auto const here = place_.enter();
     inner_.save_map(to, b);

@@ -277,6 +277,14 @@ public:
     for (auto const& part : p.stages.plugged) { part->list_placed(all); }
     return all;
   }
+  /// The loops between them, in the order in which they were closed. Likewise.
+  std::vector<closed_loop> closed_loops(int b = 0) const {
+    engine const& p = made();
+    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    std::vector<closed_loop> all;
+    for (auto const& part : p.stages.plugged) { part->list_closed(all); }
+    return all;
+  }
   /// Writes the map of camera pair b, in the format of pipelines/detail/odometry_files.hpp, with
   /// ft::loops also the keyframes that are kept, and their loops. Waits,
   /// and allocates. @throws bad_argument for a pair that does not exist or has no map; error if the

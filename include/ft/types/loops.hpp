@@ -74,6 +74,19 @@ struct placed_keyframe {
   rigid<double> T_odom_camera;   ///< as it was tracked
   rigid<double> T_world_camera;  ///< as it is known now
   double scale;  ///< of the odometry's unit there in the world's, as tracking::odom_scale; else 1
+  bool loaded = false;  ///< it came with a loaded map; it is in front of those of this run
+};
+
+/// A loop that was closed: an edge between two of placed_keyframes(). When keyframes leave at their
+/// limit, the loops of one become those of the keyframe that stands for it.
+struct closed_loop {
+  int from;  ///< index of the keyframe that was recognised
+  int to;    ///< index of the later one, which recognised it
+  std::int64_t from_time_ns;
+  std::int64_t to_time_ns;
+  rigid<double> T_from_to;  ///< as it was measured: points of `to`'s camera to that of `from`
+  double scale;  ///< of `to`'s unit in `from`'s, in which T_from_to.t is; else 1, and metres
+  int inliers;   ///< matches that agree with it
 };
 
 }  // namespace v0

@@ -159,7 +159,10 @@ struct tracking {
                            ///< frame as `inliers`, else too few
   int distant_points = 0;  ///< of stereo_points, those beyond distant_baselines of the rig
   depth_origin depths = depth_origin::stereo;
-  int map_id = 0;  ///< number of the map that the pose is in, from 1 on; 0 = there is none yet
+  /// Number of the map that the pose is in, from 1 on; 0 = there is none yet. With ft::loops of
+  /// maps that were joined that of the first one. A loaded map has 1; those that were never joined
+  /// with it, and came in its file, have numbers below 0.
+  int map_id = 0;
   warning_set warnings;  ///< see warnings_of() in pipelines/tracking_warnings.hpp
   tracking_evidence evidence;
   image_light light;                             ///< of the image with the least contrast

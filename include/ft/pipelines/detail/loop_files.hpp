@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file What an odometry knows about its loops, as a file: it follows the map's.
 ///
-/// Version 3, little-endian, without padding:
+/// Version 4, little-endian, without padding:
 /// - 16 bytes "ft loop archive" and 0; uint32 version; uint32 0x01020304; uint64 bytes that follow
 ///   before the hash;
 /// - int32 keyframes, int32 loops, double gravity[3];
@@ -39,7 +39,7 @@ namespace detail {
 
 struct loop_file_head {
   char magic[16] = "ft loop archive";
-  std::uint32_t version = 3;
+  std::uint32_t version = 4;
   std::uint32_t order = 0x01020304;
   std::uint64_t bytes = 0;
 };
@@ -52,7 +52,7 @@ void each_number(path_keyframe& k, Visit const& visit) {
 }
 template <typename Visit>
 void each_number(path_loop& l, Visit const& visit) {
-  visit(l.from, l.to, l.T_from_to, l.information, l.scale_information);
+  visit(l.from, l.to, l.inliers, l.T_from_to, l.information, l.scale_information);
 }
 
 /// Calls visit(array, count) for what is kept of a keyframe's points.
@@ -243,6 +243,7 @@ saved_loops<Exec> read_loops(loop_archive_view const& like, loop_file_limits con
     each_number(l, get);
     require_saved("the end of a loop", l.to, 1, keyframes - 1);
     require_saved("the begin of a loop", l.from, 0, l.to - 1);
+    require_saved("the inliers of a loop", l.inliers, 0, a.points);
     check_saved_similarity(l.T_from_to, most.scaled);
     require_saved("the information of a scale", l.scale_information, 0.0, 1e30);
     check_saved_information(l.information);

@@ -58,6 +58,7 @@ struct path_keyframe {
   similarity<double> T_world_camera = similarity<double>::identity();
   double information[21] = {};  ///< of the edge from the keyframe before, if that has its map
   int steps = 1;                ///< that the edge takes the place of: each is as uncertain
+  bool loaded = false;          ///< it came with a file
 };
 
 /// A keyframe seen from another one.
@@ -67,6 +68,7 @@ struct path_loop {
   similarity<double> T_from_to = similarity<double>::identity();
   double information[21] = {};   ///< of rotation and translation
   double scale_information = 0;  ///< of the logarithm of the scale
+  int inliers = 0;               ///< matches that agree with it
 };
 
 /// Keyframes in the order of their time, and loops between them. Copies allocate nothing between

@@ -110,10 +110,6 @@ struct loop_search {
   }
 
 private:
-  struct verified_loop {
-    path_loop loop;
-    int inliers;
-  };
   /// Adds loops, and says how long the correction takes. Where a map was joined that enters at
   /// once, if the correction takes longer than this.
   void look(Exec const& exec) {
@@ -138,11 +134,11 @@ private:
   bool search(Exec const& exec) {
     int const candidates = vote(exec);
     if (candidates == 0) { return false; }
-    std::vector<verified_loop> found;
+    std::vector<path_loop> found;
     for (auto const& group : choose(candidates)) { verify(exec, group, found); }
     std::vector<path_loop> told_apart;  // by the path as it was: close() may move a part of it
-    for (verified_loop const& f : found) {
-      if (is_told_apart(f, found)) { told_apart.push_back(f.loop); }
+    for (path_loop const& l : found) {
+      if (is_told_apart(l, found)) { told_apart.push_back(l); }
     }
     int const part = path.at(query()).part;
     for (path_loop const& l : told_apart) { close(l); }
@@ -227,7 +223,7 @@ private:
   }
 
   /// Adds the loop to a group of keyframes that two of them agree on, if there is one.
-  void verify(Exec const& exec, std::vector<int> const& group, std::vector<verified_loop>& to) {
+  void verify(Exec const& exec, std::vector<int> const& group, std::vector<path_loop>& to) {
     memory const& m = memory_.view();
     staging const& s = staging_.view();
     int const n = static_cast<int>(group.size());
@@ -239,7 +235,6 @@ private:
     copy(exec, s.found, static_cast<loop_match const*>(m.found), group.size());
     exec.wait();
     std::vector<path_loop> loops;
-    std::vector<int> inliers;
     for (int i = 0; i < n; ++i) {
       loop_match const& found = s.found[i];
       if (found.inliers < params.min_inliers ||
@@ -250,23 +245,21 @@ private:
       path_loop loop;
       loop.from = group[static_cast<std::size_t>(i)];
       loop.to = query();
+      loop.inliers = found.inliers;
       loop.T_from_to = with_scale(found.T_query_row.inverse().orthonormalized());
       edge_information(found.information, 0.5, loop.information);  // the points are as uncertain
       if (path.scaled) { set_scale(found, loop); }
       bool const joins = path.at(loop.from).part != path.at(loop.to).part;
-      if (joins || path.fits(loop, params, baseline())) {
-        loops.push_back(loop);
-        inliers.push_back(found.inliers);
-      }
+      if (joins || path.fits(loop, params, baseline())) { loops.push_back(loop); }
     }
-    std::size_t const best = best_agreed(loops, inliers);
-    if (best < loops.size()) { to.push_back({loops[best], inliers[best]}); }
+    std::size_t const best = best_agreed(loops);
+    if (best < loops.size()) { to.push_back(loops[best]); }
   }
   /// Whether no other place looks as much like that of a loop.
-  bool is_told_apart(verified_loop const& f, std::vector<verified_loop> const& all) const {
-    for (verified_loop const& other : all) {
-      if (&other != &f && 2 * other.inliers > f.inliers &&
-          path.contradict(f.loop, other.loop, params, baseline())) {
+  bool is_told_apart(path_loop const& loop, std::vector<path_loop> const& all) const {
+    for (path_loop const& other : all) {
+      if (&other != &loop && 2 * other.inliers > loop.inliers &&
+          path.contradict(loop, other, params, baseline())) {
         return false;
       }
     }
@@ -297,15 +290,14 @@ private:
   }
   /// Of the loops that another one agrees with, that of most inliers; their number if there is
   /// none.
-  std::size_t best_agreed(std::vector<path_loop> const& loops,
-                          std::vector<int> const& inliers) const {
+  std::size_t best_agreed(std::vector<path_loop> const& loops) const {
     std::size_t best = loops.size();
     for (std::size_t a = 0; a < loops.size(); ++a) {
       bool agreed = false;
       for (std::size_t b = 0; b < loops.size(); ++b) {
         agreed = agreed || (a != b && path.agree(loops[a], loops[b]));
       }
-      if (agreed && (best == loops.size() || inliers[a] > inliers[best])) { best = a; }
+      if (agreed && (best == loops.size() || loops[a].inliers > loops[best].inliers)) { best = a; }
     }
     return best;
   }

@@ -77,6 +77,9 @@ public:
     }
     tell_correction(t);
     if (corrected_) { t.T_world_camera = without_scale(in_world(t.T_odom_camera)); }
+    if (t.map_id > 0 && path_.size() > 0 && of_path(t.map_id)) {
+      t.map_id = path_.keyframes.back().part;
+    }
     t.loops_closed = closed_now_;
   }
   void reset(int) override { forget_all(); }
@@ -109,7 +112,13 @@ public:
   void list_placed(std::vector<placed_keyframe>& to) const override {
     for (path_keyframe const& k : path_.keyframes) {
       to.push_back({k.time_ns, k.part, k.T_odom_camera, without_scale(k.T_world_camera),
-                    k.T_world_camera.scale});
+                    k.T_world_camera.scale, k.loaded});
+    }
+  }
+  void list_closed(std::vector<closed_loop>& to) const override {
+    for (path_loop const& l : path_.loops) {
+      to.push_back({l.from, l.to, path_.at(l.from).time_ns, path_.at(l.to).time_ns,
+                    without_scale(l.T_from_to), l.T_from_to.scale, l.inliers});
     }
   }
   allocated_bytes bytes() const override {
@@ -263,6 +272,7 @@ private:
     exec.wait();
     for (path_keyframe const& k : from.keyframes) {
       path_.keyframes.push_back(k);
+      path_.keyframes.back().loaded = true;
       free_.pop_back();  // its row: they are given in ascending order
     }
     path_.loops.assign(from.loops.begin(), from.loops.end());

@@ -73,6 +73,8 @@ public:
   virtual void describe(int /*b*/, std::int64_t /*time_ns*/, tracking&) {}
   /// Adds the keyframes whose places it has corrected.
   virtual void list_placed(std::vector<placed_keyframe>& /*to*/) const {}
+  /// Adds the loops between them.
+  virtual void list_closed(std::vector<closed_loop>& /*to*/) const {}
   /// Writes what belongs to a map, behind it. Waits, and allocates.
   virtual void save(Exec const&, std::ostream&) const {}
   /// Reads and checks what save() has written, or null, for the forget() that follows. Allocates.

@@ -58,6 +58,12 @@ struct tracking_rules {
   int min_support = 15;         ///< matches that must agree with a pose that is found so, from 4 on
   float matched_search = 3;     ///< largest factor on the search radius around it
   motion_params motion;
+  /// The camera is tracked in a map of odometry::load_map(), which is not changed: no keyframe
+  /// enters it, nothing is adjusted, no loop is looked for, no map begins. A camera that is not
+  /// found stays lost. It is searched for near the newest keyframes, where odometry::predict()
+  /// says, and by its words with ft::places. An IMU is not used: what it needs to know is told by
+  /// new keyframes.
+  bool localize_only = false;
 };
 
 struct local_map_params {

@@ -19,6 +19,7 @@ enum class sightings : int {
   none = 0,        ///< nothing: the frame was not tracked
   all = 1,         ///< points in view, and points found
   found_only = 2,  ///< points found: the camera was recovered, and what is in view is a guess's
+  not_kept = 3,    ///< nothing: the frame was tracked in a map that is not changed
 };
 
 /// Inputs of count_sightings, apart from the frame and the map.
@@ -42,7 +43,7 @@ struct count_sighting {
     int const each = records.slots + in.local.capacity + frame.numbers();
     int const b = item / each;
     int i = item % each;
-    if (in.kind[b] == sightings::none) { return; }
+    if (in.kind[b] == sightings::none || in.kind[b] == sightings::not_kept) { return; }
     bool const in_view = in.kind[b] == sightings::all;
     if (i < records.slots) {
       bool const matched = in_view && in.stamps.stamped(b, records.slots, i);

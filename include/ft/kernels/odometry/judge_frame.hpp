@@ -129,7 +129,10 @@ private:
     bool const follows = plan == search_plan::follow;
     // The local map of a lost camera is seen from a guessed pose. A point that it does not find
     // there may be anywhere.
-    state.counts[b] = !found ? sightings::none : follows ? sightings::all : sightings::found_only;
+    state.counts[b] = !found                ? sightings::none
+                      : rules.localize_only ? sightings::not_kept
+                      : follows             ? sightings::all
+                                            : sightings::found_only;
     state.order[b] = keyframe_order::none;
     t.moved = 0;
     if (found) {
@@ -153,7 +156,8 @@ private:
       t.new_keyframe = 0;
     }
     if constexpr (is_monocular_v<Rig>) {
-      in.begins.wants_more[b] = looks_for_start(t, in.begins.patience) ? 1 : 0;
+      bool const looks = !rules.localize_only && looks_for_start(t, in.begins.patience);
+      in.begins.wants_more[b] = looks ? 1 : 0;
     }
   }
   /// Whether a lost camera's matches are more than a wrong pose would find.
@@ -200,7 +204,8 @@ private:
     bool const had_map = t.has_map();
     bool const usable = is_usable(t, counts, rules);
     if (had_map) { drift(t, b, usable, rules, state); }
-    if (!usable || (had_map && t.lost_with_features < rules.patience)) { return; }
+    if (!usable || rules.localize_only) { return; }
+    if (had_map && t.lost_with_features < rules.patience) { return; }
     if (t.guided != 0) {
       t.lost_frames = 0;
       t.lost_with_features = 0;
@@ -231,7 +236,7 @@ private:
                                              map_beginnings const& begins,
                                              odometry_state_view const& state) {
     if (t.has_map()) { drift(t, b, is_usable(t, counts, rules), rules, state); }
-    if (begins.report[b].outcome != start_outcome::started) { return; }
+    if (rules.localize_only || begins.report[b].outcome != start_outcome::started) { return; }
     begin_map(t);
     begins.order[b] = keyframe_order::begin_map;
     begins.first_T_cw[b] = state.T_cw[b];
@@ -248,6 +253,7 @@ private:
   template <typename Rig>
   FT_HOST_DEVICE static bool needs_keyframe(camera_track const& t, keypoint_counts const& n,
                                             tracking_rules const& rules) {
+    if (rules.localize_only) { return false; }
     bool const short_of_near =
         n.near_held < rules.wanted_near_points && n.near_free > rules.new_near_points;
     float const share = Rig::rectified ? rules.keep_share : rules.unrectified_keep_share;

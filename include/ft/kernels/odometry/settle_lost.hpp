@@ -73,7 +73,7 @@ struct settle_lost_camera {
       t.facts.matches = in.found_inliers[b];
       t.facts.evidence = static_cast<int>(in.found_evidence[b] / evidence_one);
       in.matches[b] = held;
-    } else if (t.lost_with_features >= rules.patience) {
+    } else if (!rules.localize_only && t.lost_with_features >= rules.patience) {
       // The adjustment of the old map that this frame gathered is not begun.
       if (state.gather[b] != 0) { t.adjusting = 0; }
       state.gather[b] = 0;

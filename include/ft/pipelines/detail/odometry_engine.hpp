@@ -163,6 +163,9 @@ struct odometry_engine {
     for (auto const& part : stages.plugged) { part->rethrow(); }
     for (int b = 0; b < stages.batch; ++b) {
       auto const i = static_cast<std::size_t>(b);
+      require(
+          !stages.settings.rules.localize_only || results[i].state != tracking_state::initialising,
+          "rules.localize_only tracks in a loaded map: load_map() comes before a frame");
       if (begun[i] != 0 && time_ns[b] <= times[i]) {
         throw bad_argument("ft: the time of camera pair " + std::to_string(b) + " is " +
                            std::to_string(time_ns[b]) + " ns, must be after " +

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Draws docs/images/loops.png: the path of a run before and after its loops were closed, and the truth. Needs matplotlib.
+"""Draws docs/images/loops.png: the path of a run before and after its loops were closed, these loops as lines between the places
+that they join, and the truth. Needs matplotlib.
 
     generate_sequence --frames 800 --seed 11 --blind 26 29 --out laps   # two laps; nothing is seen for 3 s
     track_sequence laps --imu off --out before
@@ -47,11 +48,23 @@ def pieces(times, positions, longest=0.3):
             begin = i
 
 
-def draw(axes, run, title):
+def draw_edges(axes, run, edges):
+    """The loops between the places where the run has their keyframes."""
+    at = {round(1e6 * t): p for t, p in zip(*path(run / "trajectory.txt"))}
+    label = f"{len(edges)} loops"
+    for edge in edges:
+        ends = [at.get(round(edge[name] / 1000)) for name in ("from_time_ns", "to_time_ns")]
+        if None not in ends:
+            axes.plot([p[0] for p in ends], [p[2] for p in ends], color="tab:green", linewidth=0.7, label=label)
+            label = None
+
+
+def draw(axes, run, title, edges):
     truth = truth_of(run / "groundtruth.txt")
     axes.plot([p[0] for p in truth], [p[2] for p in truth], color="0.75", linewidth=4, label="truth")
     for k, piece in enumerate(pieces(*path(run / "trajectory.txt"))):
         axes.plot([p[0] for p in piece], [p[2] for p in piece], linewidth=1.2, label=f"tracked, part {k + 1}")
+    draw_edges(axes, run, edges)
     ate = json.loads((run / "summary.json").read_text())["ate_rmse_m"]
     axes.set_title(f"{title}: ATE {1000 * ate:.0f} mm" if ate > 0.1 else f"{title}: ATE {1000 * ate:.1f} mm")
     axes.set_aspect("equal")
@@ -61,9 +74,10 @@ def draw(axes, run, title):
 
 def main():
     before, after, out = map(pathlib.Path, sys.argv[1:4])
+    edges = json.loads((after / "summary.json").read_text())["loops"]["edges"]
     figure, axes = pyplot.subplots(1, 2, figsize=(10, 4.2), sharex=True, sharey=True)
-    draw(axes[0], before, "without loops")
-    draw(axes[1], after, "with loops")
+    draw(axes[0], before, "without loops", edges)
+    draw(axes[1], after, "with loops", edges)
     axes[0].set_ylabel("z, m")
     figure.tight_layout()
     figure.savefig(out, dpi=110)

@@ -331,9 +331,20 @@ void write_summary_json(std::string const& path, run_report const& report) {
   root["without_scale"] = f.without_scale;
   root["ate_rmse_m"] = number(f.ate_rmse_m);
   if (report.loops) {
+    json edges = json::array();
+    for (loop_edge const& e : report.loops->edges) {
+      edges.push_back(
+          {{"from_time_ns", e.from.time_ns}, {"to_time_ns", e.to.time_ns}, {"inliers", e.inliers}});
+    }
     root["loops"] = {{"closed", report.loops->closed},
                      {"corrections", report.loops->corrections},
-                     {"online_ate_rmse_m", number(report.loops->online_ate_m)}};
+                     {"online_ate_rmse_m", number(report.loops->online_ate_m)},
+                     {"edges", edges}};
+  }
+  if (report.loaded_map) {
+    int const after = report.loaded_map->found_after;
+    root["loaded_map"] = {{"file", report.loaded_map->file},
+                          {"found_after", after > 0 ? json(after) : json(nullptr)}};
   }
   root["ate_axes_m"] =
       report.error.ate_axes_m ? vector_of(*report.error.ate_axes_m) : json(nullptr);

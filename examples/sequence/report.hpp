@@ -74,12 +74,28 @@ struct sample_frame {
   std::vector<keypoint> keypoints;
 };
 
+/// A map of an earlier run, in which the camera is searched for.
+struct loaded_map_record {
+  std::string file;
+  int found_after = 0;  ///< frames, the one with which it is found included; 0 = it is not
+};
+
+/// A loop as an edge between two keyframes, where all loops have placed them.
+struct loop_edge {
+  stamped_pose from;    ///< the one that was recognised
+  stamped_pose to;      ///< the later one
+  int inliers = 0;      ///< matches that agree with it
+  bool loaded = false;  ///< `from` is of a loaded map
+};
+
 /// What loops did to a path.
 struct loop_record {
   int closed = 0;
+  int maps = 1;         ///< of the run's keyframes, after loops have joined some
   int corrections = 0;  ///< frames with which some entered
   trajectory tracked;   ///< poses that no loop has corrected
   trajectory online;    ///< poses as each frame told them; those of the run are corrected by all
+  std::vector<loop_edge> edges;
   std::optional<double> online_ate_m;
 };
 
@@ -96,11 +112,12 @@ struct run_report {
   int image_width = 0, image_height = 0;
   int frames = 0, tracked = 0, lost = 0, dropped = 0, keyframes = 0, map_points = 0;
   std::optional<loop_record> loops;  ///< where they were looked for
-  int maps = 0;                      ///< maps begun; more than one after a long loss
-  bool one_camera = false;           ///< the left images alone were used
-  bool depth_images = false;         ///< one camera with depth images was used
-  bool with_imu = false;             ///< the sequence's IMU was used
-  std::vector<std::string> stages;   ///< names; the last one is "total"
+  std::optional<loaded_map_record> loaded_map;
+  int maps = 0;                     ///< maps begun; more than one after a long loss
+  bool one_camera = false;          ///< the left images alone were used
+  bool depth_images = false;        ///< one camera with depth images was used
+  bool with_imu = false;            ///< the sequence's IMU was used
+  std::vector<std::string> stages;  ///< names; the last one is "total"
   std::vector<frame_record> records;
   trajectory estimate;  ///< tracked frames only; of one camera, those whose scale is known if any
   bool metric = true;   ///< the scale of `estimate` is known
@@ -138,8 +155,9 @@ void print_summary(std::ostream& out, run_report const& report);
 /// images_to_pose = mean_ms ... from handing a frame's images over to having its pose, prefetch =
 /// frames given ahead (then fps is null: the stages leave their keypoints and stereo out), reasons
 /// = name -> frames that were not tracked or are doubted, ate_rotation_missing, stopped_at (null
-/// for a whole run), evo = figure -> command, loops = closed, corrections, online_ate_rmse_m (only
-/// with --loops), and the rest.
+/// for a whole run), evo = figure -> command, loops = closed, corrections, online_ate_rmse_m, edges
+/// = from_time_ns, to_time_ns, inliers (only with --loops), loaded_map = file, found_after (null
+/// where it is not found; only with --load-map), and the rest.
 void write_summary_json(std::string const& path, run_report const& report);
 void write_times_csv(std::string const& path, run_report const& report);
 /// One self-contained file: no script, style or picture from elsewhere.

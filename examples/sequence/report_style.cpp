@@ -87,6 +87,8 @@ svg text { font-family: inherit; }
 .mid { text-anchor: middle; } .end { text-anchor: end; }
 .grid { stroke: var(--grid); fill: none; }
 .estimate { stroke: var(--accent); stroke-width: 2; fill: none; stroke-linejoin: round; }
+.loop { stroke: var(--good); stroke-width: 2.5; fill: none; stroke-linecap: round; }
+.open-loop { stroke: var(--good); stroke-width: .6; fill: none; opacity: .6; }
 .tracked { stroke: var(--bad); stroke-width: 1.5; fill: none; stroke-dasharray: 5 4; }
 .truth { stroke: var(--truth); stroke-width: 5; fill: none; stroke-linejoin: round; }
 .wash { fill: var(--wash); }

@@ -83,6 +83,12 @@ std::string pose_time_lines(run_report const& report, detail::run_figures const&
   return text;
 }
 
+std::string found_text(loaded_map_record const& map) {
+  if (map.found_after == 0) { return "the camera was not found in it"; }
+  return "found after " + std::to_string(map.found_after) +
+         (map.found_after == 1 ? " frame" : " frames");
+}
+
 std::string count_lines(run_report const& report, detail::run_figures const& f) {
   using detail::fixed;
   std::string const share = f.tracked_ratio ? " (" + detail::tracked_percent(f) + " %)" : "";
@@ -100,6 +106,7 @@ std::string count_lines(run_report const& report, detail::run_figures const& f) 
       (report.loops ? line("loops", std::to_string(report.loops->closed) + " closed, in " +
                                         std::to_string(report.loops->corrections) + " frames")
                     : std::string()) +
+      (report.loaded_map ? line("loaded map", found_text(*report.loaded_map)) : std::string()) +
       line("mean keypoints", fixed(f.mean_keypoints, 1)) +
       line("mean inliers", fixed(f.mean_inliers, 1));
   if (report.prefetch == 0) {

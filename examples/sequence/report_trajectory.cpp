@@ -83,12 +83,37 @@ chart chart_of(std::initializer_list<positions const*> shown, view_plane const& 
   return c;
 }
 
+/// Loops as lines of two places each.
+struct edge_lines {
+  std::vector<positions> closed;  ///< on the corrected path
+  std::vector<positions> open;    ///< on the path that no loop has corrected
+};
+
+edge_lines lines_of(loop_record const& loops, positions const& tracked,
+                    Eigen::Isometry3d const& T_drawn) {
+  edge_lines lines;
+  auto const at = [&](std::int64_t time_ns) {
+    return std::lower_bound(tracked.begin(), tracked.end(), time_ns,
+                            [](auto const& p, std::int64_t t) { return p.first < t; });
+  };
+  for (loop_edge const& e : loops.edges) {
+    positions const line = finite_positions({e.from, e.to}, T_drawn);
+    if (line.size() == 2) { lines.closed.push_back(line); }
+    auto const from = at(e.from.time_ns), to = at(e.to.time_ns);
+    if (!e.loaded && from != tracked.end() && to != tracked.end()) {
+      lines.open.push_back({*from, *to});
+    }
+  }
+  return lines;
+}
+
 }  // namespace
 
 std::string trajectory_section(run_report const& r, run_figures const& f) {
   bool const has_truth = !r.truth.empty();
-  positions const estimate = finite_positions(
-      r.estimate, has_truth ? r.error.T_truth_estimate : Eigen::Isometry3d::Identity());
+  Eigen::Isometry3d const T_drawn =
+      has_truth ? r.error.T_truth_estimate : Eigen::Isometry3d::Identity();
+  positions const estimate = finite_positions(r.estimate, T_drawn);
   positions const truth =
       finite_positions(covered(r.truth, r.records), Eigen::Isometry3d::Identity());
   positions const& reference = truth.empty() ? estimate : truth;
@@ -99,10 +124,7 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
   auto const across = [&](Eigen::Vector3d const& p) { return plane.across.of(p); };
   auto const up = [&](Eigen::Vector3d const& p) { return plane.up.of(p); };
 
-  positions const tracked =
-      r.loops ? finite_positions(r.loops->tracked, has_truth ? r.error.T_truth_estimate
-                                                             : Eigen::Isometry3d::Identity())
-              : positions();
+  positions const tracked = r.loops ? finite_positions(r.loops->tracked, T_drawn) : positions();
   chart const c = chart_of({&estimate, &truth, &tracked}, plane);
   auto const line = [&](positions const& points) {
     std::int64_t const gap = bridged_gap(points);
@@ -112,6 +134,17 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
       p.to(c.px(across(points[i].second)), c.py(up(points[i].second)));
     }
     return p.take();
+  };
+
+  edge_lines const edges = r.loops ? lines_of(*r.loops, tracked, T_drawn) : edge_lines();
+  auto const apart = [&](std::vector<positions> const& lines) {
+    std::string all;
+    for (positions const& of : lines) {
+      pen p;
+      for (auto const& at : of) { p.to(c.px(across(at.second)), c.py(up(at.second))); }
+      all += p.take();
+    }
+    return all;
   };
 
   bool const above = truth.empty() && plane.across.index != 1 && plane.up.index != 1;
@@ -129,6 +162,10 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
   if (!estimate.empty()) {
     out += legend_entry("estimate", mark::line, f.ate_rmse_m ? "estimate, aligned" : "estimate");
     if (!tracked.empty()) { out += legend_entry("tracked", mark::line, "without its loops"); }
+    if (!edges.closed.empty()) {
+      out += legend_entry("loop", mark::line, "loop: two keyframes at one place");
+      out += legend_entry("open-loop", mark::line, "the same two without the loops");
+    }
     out += legend_entry("start", mark::dot, "start");
     out += legend_entry("end", mark::dot, "end");
   } else {
@@ -136,8 +173,9 @@ std::string trajectory_section(run_report const& r, run_figures const& f) {
   }
   out += "</div>\n" + c.open("Trajectory");
   out += c.axes(plane.across.name() + " [m]", plane.up.name() + " [m]", false, false);
-  out += path("truth", line(truth)) + path("tracked", line(tracked)) +
-         path("estimate", line(estimate));
+  out += path("truth", line(truth)) + path("open-loop", apart(edges.open)) +
+         path("tracked", line(tracked)) + path("estimate", line(estimate)) +
+         path("loop", apart(edges.closed));
   if (!estimate.empty()) {
     auto const dot = [&](char const* style, Eigen::Vector3d const& p) {
       return std::string("<circle class=\"") + style + '"' + attribute("cx", c.px(across(p))) +

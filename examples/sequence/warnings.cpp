@@ -215,8 +215,12 @@ std::vector<std::string> warnings_of(run_report const& report) {
         std::to_string(report.unpaired_right) +
         (report.depth_images ? " depth images" : " of the right one"));
   }
-  if (report.maps > 1) {
-    out.push_back(std::to_string(report.maps) +
+  if (report.loaded_map && report.loaded_map->found_after == 0) {
+    out.push_back("the camera was not found in the map " + report.loaded_map->file +
+                  ": its poses are not in the world of that map");
+  }
+  if (int const maps = report.loops ? report.loops->maps : report.maps; maps > 1) {
+    out.push_back(std::to_string(maps) +
                   " maps were begun: a map after the first starts at a guessed pose, so the path "
                   "is not of one piece");
   }

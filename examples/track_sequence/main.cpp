@@ -105,6 +105,7 @@ int run(app::arguments a, std::vector<std::string> const& words) {
                        static_cast<float>(last.odom_scale));
   };
   app::finish(a, sequence, map, report);
+  if (!a.save_map.empty() && report.tracked > 0) { app::save_map(a.save_map, odometry.odometry()); }
   if (report.stopped_at) {
     std::cerr << "track_sequence: stopped at frame " << *report.stopped_at << ": "
               << report.stopped_by << "\n";
@@ -112,7 +113,9 @@ int run(app::arguments a, std::vector<std::string> const& words) {
   }
   if (report.tracked == 0) {
     std::cerr << "track_sequence: " << a.sequence << ": no frame could be tracked: "
-              << (report.one_camera ? "the camera does not move enough, or too few corners are seen"
+              << (a.localize_only ? "the camera was not found in the map"
+                  : report.one_camera
+                      ? "the camera does not move enough, or too few corners are seen"
                   : report.depth_images ? "too few corners have a depth"
                                         : "too few corners are seen by both cameras")
               << " (--features " << setup.params.orb.features << ")";

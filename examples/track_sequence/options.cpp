@@ -80,6 +80,14 @@ void add_tracking(CLI::App& app, arguments& a) {
   app.add_flag("--loops", a.loops,
                "recognises places seen before and corrects the path there: trajectory.txt is the "
                "path as all loops have corrected it, trajectory_online.txt as each frame told it");
+  CLI::Option* const load = app.add_option(
+      "--load-map", a.load_map,
+      "file of --save-map, with the same rig, image size and options: the camera is searched for "
+      "in it, and poses are in its world. Near the place where it was saved; anywhere if both runs "
+      "have --loops");
+  app.add_flag("--localize-only", a.localize_only,
+               "the map is not changed, and a camera that is not found in it stays lost")
+      ->needs(load);
   app.add_option("--near", a.near_depth,
                  "depth of near map points, in baselines; default: the settings file's, or 50");
 }
@@ -89,6 +97,8 @@ void add_output(CLI::App& app, arguments& a) {
                  "folder for trajectory.txt, groundtruth.txt, map.ply, times.csv, summary.json, "
                  "report.html")
       ->capture_default_str();
+  app.add_option("--save-map", a.save_map,
+                 "file for the map at the end, with --loops also for all places that are kept");
   app.add_option("--frame", a.frame,
                  "whose poses are written and compared: those of the (rectified) left camera, or "
                  "of the body (IMU)")

@@ -27,7 +27,9 @@ struct arguments {
   std::string imu = "auto";
   std::optional<double> imu_time_offset_s;  ///< else as the calibration has it
   std::string out = "track_sequence_out";
-  std::string record;  ///< folder, or empty
+  std::string record;    ///< folder, or empty
+  std::string load_map;  ///< file, or empty
+  std::string save_map;  ///< likewise
   int features = 0;
   int threads = 0;
   int frames = 0;
@@ -41,6 +43,7 @@ struct arguments {
   double min_depth = 0;                          ///< metres
   double max_depth = std::numeric_limits<double>::infinity();  ///< metres
   bool loops = false;
+  bool localize_only = false;
   bool realtime = false;
   bool timing = false;
   bool quiet = false;

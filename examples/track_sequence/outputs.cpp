@@ -18,17 +18,25 @@ namespace {
 
 namespace fs = std::filesystem;
 
+/// Calls change(pose) for all poses that were estimated.
+template <typename Change>
+void each_pose(seq::run_report& report, Change const& change) {
+  for (auto& pose : report.estimate) { change(pose); }
+  if (!report.loops) { return; }
+  for (auto& pose : report.loops->tracked) { change(pose); }
+  for (auto& pose : report.loops->online) { change(pose); }
+  for (auto& edge : report.loops->edges) {
+    change(edge.from);
+    change(edge.to);
+  }
+}
+
 /// The estimate and the truth become poses of the body; the world becomes the first one's body.
 void move_to_body(seq::sequence const& sequence, seq::run_report& report) {
   Eigen::Isometry3d const T_body_camera = sequence.rig().T_body_left;
-  report.estimate = seq::poses_of(report.estimate, T_body_camera.inverse());
-  for (auto& pose : report.estimate) { pose.T_world_camera = T_body_camera * pose.T_world_camera; }
-  if (report.loops) {
-    for (seq::trajectory* path : {&report.loops->tracked, &report.loops->online}) {
-      *path = seq::poses_of(*path, T_body_camera.inverse());
-      for (auto& pose : *path) { pose.T_world_camera = T_body_camera * pose.T_world_camera; }
-    }
-  }
+  each_pose(report, [&](seq::stamped_pose& pose) {
+    pose.T_world_camera = T_body_camera * pose.T_world_camera * T_body_camera.inverse();
+  });
   for (auto& point : report.cloud) { point = T_body_camera.cast<float>() * point; }
   if (sequence.ground_truth_has_orientation()) {
     report.truth = seq::poses_of(report.truth, T_body_camera.inverse());
@@ -116,6 +124,20 @@ void require_writable(std::string const& folder) {
   }
 }
 
+std::string partial(std::string const& path) { return path + ".partial"; }
+
+/// Before the run, too.
+void require_map_writable(std::string const& path) {
+  errno = 0;
+  bool const written = !fs::is_directory(path) && std::ofstream(partial(path), std::ios::app);
+  int const reason = fs::is_directory(path) ? EISDIR : errno;
+  std::error_code ignored;
+  fs::remove(partial(path), ignored);
+  if (!written) {
+    throw seq::error("--save-map " + path + ": cannot be written: " + std::strerror(reason));
+  }
+}
+
 }  // namespace
 
 void make_output_folder(arguments const& a) {
@@ -129,6 +151,23 @@ void make_output_folder(arguments const& a) {
   fs::create_directories(a.out, failed);
   if (failed) { throw seq::error("--out " + a.out + ": cannot be made: " + failed.message()); }
   require_writable(a.out);
+  if (!a.save_map.empty()) { require_map_writable(a.save_map); }
+}
+
+void save_map(std::string const& path, ft::any_odometry const& odometry) {
+  std::error_code failed;
+  try {
+    std::ofstream file(partial(path), std::ios::binary);
+    odometry.save_map(file);
+    file.close();
+    if (!file) { throw seq::error("cannot be written"); }
+    fs::rename(partial(path), path);
+  } catch (std::exception const& e) {
+    fs::remove(partial(path), failed);
+    throw seq::error("--save-map " + path + ": " + e.what());
+  }
+  std::cout << "map       saved to " << path << ", " << (fs::file_size(path) + 500000) / 1000000
+            << " MB\n";
 }
 
 void finish(arguments const& a, seq::sequence const& sequence, map_writer const& map,
@@ -140,7 +179,10 @@ void finish(arguments const& a, seq::sequence const& sequence, map_writer const&
   if (!report.metric || (report.fit && !report.fit->same_shape())) { report.fit.reset(); }
   if (a.frame == "body") { move_to_body(sequence, report); }
   write_poses(a, sequence, report);
-  if (report.scale) { report.estimate = seq::scaled(report.estimate, *report.scale); }
+  if (report.scale) {
+    each_pose(report,
+              [&](seq::stamped_pose& p) { p.T_world_camera.translation() *= *report.scale; });
+  }
   report.error =
       seq::evaluate(report.estimate, report.truth, sequence.ground_truth_has_orientation());
   if (report.loops) {

@@ -65,6 +65,29 @@ json truth_of(seq::sequence const& sequence) {
 /// Shorter in the file.
 double rounded(float v) { return std::round(1000.0 * static_cast<double>(v)) / 1000.0; }
 
+/// Pieces of the path, each of one map and one run, and pairs of places.
+json corrected_of(corrected_keyframes const& of) {
+  auto const place = [](ft::placed_keyframe const& k) {
+    ft::vec3<double> const& t = k.T_world_camera.t;
+    return json{t.x, t.y, t.z};
+  };
+  json path = json::array();
+  for (std::size_t i = 0; i < of.keyframes.size(); ++i) {
+    ft::placed_keyframe const& k = of.keyframes[i];
+    ft::placed_keyframe const* const before = i > 0 ? &of.keyframes[i - 1] : nullptr;
+    if (before == nullptr || before->map != k.map || before->loaded != k.loaded) {
+      path.push_back(json::array());
+    }
+    path.back().push_back(place(k));
+  }
+  json loops = json::array();
+  for (ft::closed_loop const& l : of.loops) {
+    loops.push_back({place(of.keyframes[static_cast<std::size_t>(l.from)]),
+                     place(of.keyframes[static_cast<std::size_t>(l.to)])});
+  }
+  return {{"path", path}, {"loops", loops}};
+}
+
 std::string image_name(int index) {
   char name[32];
   std::snprintf(name, sizeof name, "left/%06d.png", index);
@@ -93,7 +116,8 @@ recording::recording(std::string const& folder, seq::sequence const& sequence,
 }
 
 void recording::add(seq::frame_record const& frame, ft::rigid<double> const& T_wc,
-                    seq::image const& left, std::vector<seen_keypoint> const& keypoints) {
+                    seq::image const& left, std::vector<seen_keypoint> const& keypoints,
+                    std::optional<corrected_keyframes> const& corrected) {
   std::string const image = image_name(frame.index);
   seq::write_png(folder_ + "/" + image, left);
   json line = {{"frame", frame.index},
@@ -116,6 +140,7 @@ void recording::add(seq::frame_record const& frame, ft::rigid<double> const& T_w
     line["point"].push_back(k.point);
     line["matched"].push_back(k.matched ? 1 : 0);
   }
+  if (corrected) { line["corrected"] = corrected_of(*corrected); }
   write_line(line.dump());
 }
 

@@ -4,14 +4,22 @@
 #pragma once
 
 #include <fstream>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/report.hpp"
 #include "examples/track_sequence/timed_odometry.hpp"
+#include "ft/types/loops.hpp"
 
 namespace app {
+
+/// What loops have made of the path.
+struct corrected_keyframes {
+  std::vector<ft::placed_keyframe> keyframes;
+  std::vector<ft::closed_loop> loops;
+};
 
 /// recording.jsonl, a line a frame, and the left images as tracked, left/<number>.png.
 class recording {
@@ -22,9 +30,11 @@ public:
   recording(std::string const& folder, seq::sequence const& sequence,
             std::vector<std::string> const& stages);
 
-  /// Adds a frame. @param T_wc left camera to world @param left the image @throws seq::error
+  /// Adds a frame. @param T_wc left camera to world @param left the image @param corrected where a
+  /// correction entered with the frame @throws seq::error
   void add(seq::frame_record const& frame, ft::rigid<double> const& T_wc, seq::image const& left,
-           std::vector<seen_keypoint> const& keypoints);
+           std::vector<seen_keypoint> const& keypoints,
+           std::optional<corrected_keyframes> const& corrected);
 
 private:
   void write_line(std::string const& line);

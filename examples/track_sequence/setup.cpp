@@ -4,8 +4,11 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <cstddef>
+#include <cstring>
+#include <fstream>
 #include <stdexcept>
 #include <vector>
 
@@ -121,6 +124,17 @@ void check_fit(arguments const& a, seq::sequence const& sequence) {
   }
 }
 
+void load_map(std::string const& path, ft::any_odometry& odometry) {
+  errno = 0;
+  std::ifstream file(path, std::ios::binary);
+  if (!file) { throw seq::error("--load-map " + path + ": " + std::strerror(errno)); }
+  try {
+    odometry.load_map(file);
+  } catch (std::exception const& e) {  // no map, or one of another rig
+    throw seq::error("--load-map " + path + ": " + e.what());
+  }
+}
+
 }  // namespace
 
 seq::sequence open_sequence(arguments const& a) {
@@ -173,6 +187,7 @@ odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   p.measure_stages = a.timing;
   p.loops.present = a.loops;
+  p.rules.localize_only = a.localize_only;
   // Nothing is prefetched where stages are timed, frames arrive in real time, or one thread is
   // asked for.
   bool const one_by_one = o.rig.kind == ft::rig_kind::monocular || a.timing || a.realtime ||
@@ -192,11 +207,14 @@ ft::any_odometry make_odometry(arguments const& a, odometry_setup const& setup,
   backend = gpus.empty() ? "host" : "cuda";
   device = gpus.empty() ? processor_name() : gpus[0];
   ft::device const where{gpus.empty() ? ft::device::host : 0, setup.threads};
+  ft::any_odometry odometry;
   try {
-    return ft::make_odometry(where, setup.rig, setup.params);
+    odometry = ft::make_odometry(where, setup.rig, setup.params);
   } catch (std::exception const& e) {  // options that contradict each other
     throw seq::error((a.calibration.empty() ? a.sequence : a.calibration) + ": " + e.what());
   }
+  if (!a.load_map.empty()) { load_map(a.load_map, odometry); }
+  return odometry;
 }
 
 int usual_read_ahead(std::string const& backend) {

@@ -26,8 +26,8 @@ struct odometry_setup {
 odometry_setup setup_of(arguments const& a, seq::sequence const& sequence);
 
 /// @param backend gets "host" or "cuda" @param device gets the name of the processor or the GPU
-/// @throws seq::error for a GPU that is asked for and not there, or options that contradict each
-///   other
+/// @throws seq::error for a GPU that is asked for and not there, options that contradict each
+///   other, or a map that cannot be loaded
 ft::any_odometry make_odometry(arguments const& a, odometry_setup const& setup,
                                std::string& backend, std::string& device);
 

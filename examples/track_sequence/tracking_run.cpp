@@ -12,6 +12,7 @@
 #include <iostream>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 
@@ -134,6 +135,7 @@ tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence,
       prefetch_(setup.params.prefetch),
       left_lens_(sequence.rig().left) {
   if (a.loops) { report.loops.emplace(); }
+  if (!a.load_map.empty()) { report.loaded_map = {a.load_map, 0}; }
   if (!a.record.empty()) { recording_.emplace(a.record, sequence, report.stages); }
 }
 
@@ -180,7 +182,14 @@ void tracking_run::track_all() {
   if (report_.loops) {
     report_.loops->tracked = path_.as_tracked();
     report_.loops->online = report_.estimate;
-    report_.estimate = path_.by(odometry_.odometry().placed_keyframes());
+    auto const placed = odometry_.odometry().placed_keyframes();
+    report_.estimate = path_.by(placed);
+    std::set<int> maps;
+    for (ft::placed_keyframe const& k : placed) {
+      if (!k.loaded) { maps.insert(k.map); }
+    }
+    report_.loops->maps = static_cast<int>(maps.size());
+    report_.loops->edges = edges_of(placed, odometry_.odometry().closed_loops());
   }
   report_.wall_s = std::chrono::duration<double>(clock::now() - begin).count();
 }
@@ -193,12 +202,18 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
   busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
   add_record(i, frame.time_ns, outcome);
   if (recording_) {
-    recording_->add(report_.records.back(), found.T_world_camera, frame.left,
-                    odometry_.keypoints());
+    recording_->add(report_.records.back(), found.T_world_camera, frame.left, odometry_.keypoints(),
+                    corrected_now(found));
   }
   if (outcome.tracked && found.metric && !report_.metric) {
     report_.metric = true;
     report_.estimate.clear();  // poses of an unknown scale
+  }
+  // A map of its own, which is not joined with the loaded one, has a larger number.
+  if (report_.loaded_map && report_.loaded_map->found_after == 0 && outcome.tracked &&
+      found.map_id <= 1) {
+    report_.loaded_map->found_after = report_.frames;
+    report_.estimate.clear();  // poses in another world
   }
   if (outcome.tracked && found.metric == report_.metric) {
     report_.estimate.push_back(stamped(frame.time_ns, found.T_world_camera));
@@ -210,6 +225,18 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
   }
   if (outcome.tracked && found.keyframe) { add_points(found.T_world_camera); }
   add_sample(i, std::move(frame.left));
+}
+
+/// Nothing where the correction is that of the frame before.
+std::optional<corrected_keyframes> tracking_run::corrected_now(ft::tracking const& found) {
+  auto const same = [](ft::rigid<double> const& a, ft::rigid<double> const& b) {
+    auto const d = a.t - b.t;
+    return std::equal(a.R.m, a.R.m + 9, b.R.m) && ft::dot(d, d) == 0;
+  };
+  if (same(found.T_world_odom, T_world_odom_)) { return {}; }
+  T_world_odom_ = found.T_world_odom;
+  ft::any_odometry const& odometry = odometry_.odometry();
+  return corrected_keyframes{odometry.placed_keyframes(), odometry.closed_loops()};
 }
 
 /// Hands the IMU's samples on, up to the first one that is not before the frame, by its clock. A

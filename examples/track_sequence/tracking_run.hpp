@@ -33,6 +33,7 @@ public:
 private:
   bool dropped(int i) const;
   void track(int i, seq::stereo_frame frame);
+  std::optional<corrected_keyframes> corrected_now(ft::tracking const& found);
   void add_imu(std::int64_t to_ns);
   void add_record(int i, std::int64_t time_ns, frame_outcome const& outcome);
   void add_sample(int i, seq::image picture);
@@ -47,7 +48,9 @@ private:
   int prefetch_;  ///< frames that the odometry gets early
   seq::lens_projection left_lens_;
   std::optional<recording> recording_;
-  corrected_path path_;                ///< with --loops
+  corrected_path path_;  ///< with --loops
+  /// Of the last frame that was recorded.
+  ft::rigid<double> T_world_odom_ = ft::rigid<double>::identity();
   std::vector<seen_keypoint> before_;  ///< keypoints of frame before_index_
   int before_index_ = -2;
   double busy_until_ms_ = 0;     ///< on the sequence's own clock, for --realtime

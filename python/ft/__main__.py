@@ -98,6 +98,13 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--loops", action="store_true",
                          help="recognises places seen before and corrects the path there: trajectory.txt is the path as all "
                               "loops have corrected it, trajectory_online.txt as each frame told it")
+    command.add_argument("--load-map", metavar="FILE",
+                         help="of --save-map, with the same rig, image size and options: the camera is searched for in it, and "
+                              "poses are in its world. Near the place where it was saved; anywhere if both runs have --loops")
+    command.add_argument("--localize-only", action="store_true",
+                         help="with --load-map: the map is not changed, and a camera that is not found in it stays lost")
+    command.add_argument("--save-map", metavar="FILE",
+                         help="for the map at the end, with --loops also for all places that are kept")
     command.add_argument("--imu", default="auto", nargs="?", const="auto", choices=["auto", "off"],
                          help="auto (the default): used if the sequence has one")
     command.add_argument("--imu-time-offset", type=number(-10, 10),
@@ -151,6 +158,8 @@ def main() -> int:
             top.error("one of RECORDING and --sequence names the recording")
         arguments.files = arguments.folder or [arguments.sequence]
         arguments.folder = arguments.files[0]
+        if arguments.localize_only and not arguments.load_map:
+            top.error("argument --localize-only: needs --load-map")
         if arguments.max_depth is not None and not arguments.max_depth > arguments.min_depth:
             top.error(f"argument --max-depth: is {arguments.max_depth:g}, must be above --min-depth, {arguments.min_depth:g}")
         if arguments.max_depth == float("inf"):

@@ -47,6 +47,13 @@ class PlacedKeyframes(TypedDict):
     T_odom_camera: NDArray[np.float64]
     T_world_camera: NDArray[np.float64]
     scale: NDArray[np.float64]
+    loaded: NDArray[np.bool_]
+
+
+# "from" is a word of the language
+ClosedLoops = TypedDict("ClosedLoops", {
+    "from": NDArray[np.int32], "to": NDArray[np.int32], "from_time_ns": NDArray[np.int64], "to_time_ns": NDArray[np.int64],
+    "T_from_to": NDArray[np.float64], "scale": NDArray[np.float64], "inliers": NDArray[np.int32]})
 
 
 class Odometry:
@@ -60,6 +67,7 @@ class Odometry:
     an adjustment, moving and fixed. vocabulary: a file; by its words a lost camera is also looked up among so many
     candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. loops: places that were
     seen before are recognised and the path is corrected, see placed_keyframes(); not with batch > 1.
+    localize_only: cameras are tracked in a map of load_map(), which is not changed; one that is not found stays lost.
     own_features: track_features() takes keypoints of yours. descriptors: of these, "orb" (32 bytes),
     "bits_512" (61 to 64 bytes, as AKAZE's and BRISK's) or "int8_128" (OpenCV's SIFT, or int8, of two rows of one point up to
     250 apart); others than "orb" need own_features and a RectifiedPair or an RgbdCamera of a pinhole, without imu and
@@ -75,8 +83,9 @@ class Odometry:
                  device: str = "auto", near_depth: float = 50.0, map_slots: int = 1 << 14, keyframes: int = 128,
                  local_points: int = 1 << 13, window: tuple[int, int] = (10, 5), window_points: int = 1 << 12,
                  vocabulary: Optional[Union[str, os.PathLike[str]]] = None, candidates: int = 16,
-                 loops: bool = False, own_features: bool = False, descriptors: str = "orb", measure_stages: bool = False,
-                 features: int = 1200, levels: int = 8, scale_factor: float = 1.2, ini_threshold: int = 20, min_threshold: int = 7,
+                 loops: bool = False, localize_only: bool = False, own_features: bool = False, descriptors: str = "orb",
+                 measure_stages: bool = False, features: int = 1200, levels: int = 8, scale_factor: float = 1.2,
+                 ini_threshold: int = 20, min_threshold: int = 7,
                  corner_ratio: float = 0.0, mask_size: tuple[int, int] = (0, 0), std_sort: bool = False, threads: int = 0) -> None:
         all_options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, corner_ratio,
                                mask_size, std_sort, threads)
@@ -88,8 +97,8 @@ class Odometry:
         all_options.update(batch=batch, near_depth=near_depth, map_slots=map_slots, keyframes=keyframes,
                            local_points=local_points, window_moving=moving, window_fixed=fixed, window_points=window_points,
                            vocabulary="" if vocabulary is None else str(vocabulary), candidates=candidates,
-                           loops=bool(loops), own_features=bool(own_features), descriptors=descriptors,
-                           measure_stages=bool(measure_stages))
+                           loops=bool(loops), localize_only=bool(localize_only), own_features=bool(own_features),
+                           descriptors=descriptors, measure_stages=bool(measure_stages))
         self.rig, self.scale_factor = rig, scale_factor
         self._doubts_depth = True
         self._descriptors = descriptors
@@ -219,8 +228,14 @@ class Odometry:
         """The keyframes as loops have corrected them, oldest first: time_ns (n), map (n) their map's number, which is that
         of the first of maps that loops have joined, T_odom_camera (n, 4, 4) as they were tracked, T_world_camera
         (n, 4, 4) as they are known now, scale (n) of the odometry's unit in the world's, 1 but with a MonocularCamera
-        without an IMU. Empty without loops."""
+        without an IMU, loaded (n) whether it came with load_map(). Empty without loops."""
         return cast(PlacedKeyframes, self._pipeline.placed_keyframes(b))
+
+    def closed_loops(self, b: int = 0) -> ClosedLoops:
+        """The loops between placed_keyframes(), in the order in which they were closed: from and to (n), indices of the
+        keyframe that was recognised and of the later one, from_time_ns and to_time_ns (n), T_from_to (n, 4, 4) as it was
+        measured, scale (n) of `to`'s unit in `from`'s, inliers (n), the matches that agree. Empty without loops."""
+        return cast(ClosedLoops, self._pipeline.closed_loops(b))
 
     def stage_times(self) -> dict[str, float]:
         """Milliseconds that each stage added to the last frame, by name, in order. Raises ValueError without

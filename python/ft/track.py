@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 import ft
 
 from . import _ft
-from .odometry import TrackedKeypoints
+from .map_files import load_map, require_writable, save_map
+from .odometry import PlacedKeyframes, TrackedKeypoints
 from .sequences import Settings
 
 if TYPE_CHECKING:
@@ -85,9 +86,11 @@ def make_odometry(arguments: argparse.Namespace, sequence: ft.Sequence,
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the calibration, which are printed
         odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
-                               threads=arguments.threads, loops=arguments.loops, measure_stages=measure_stages,
-                               map_slots=slots, local_points=local, window_points=window,
+                               threads=arguments.threads, loops=arguments.loops, localize_only=arguments.localize_only,
+                               measure_stages=measure_stages, map_slots=slots, local_points=local, window_points=window,
                                corner_ratio=arguments.corner_ratio, **settings)
+    if arguments.load_map:
+        load_map(arguments.load_map, odometry)
     return odometry, settings
 
 
@@ -151,6 +154,9 @@ class Run:
         self._odom_poses: list[NDArray[np.float64]] = []
         self.samples: list[tuple[int, NDArray[np.uint8], list[tuple[float, float, float, int, float, bool, float, float]]]] = []
         self.metric = sequence.kind != "mono"
+        self._T_world_odom = np.eye(4)  # of the last frame that was shown
+        self._found_after = 0  # frames until the camera was found in a loaded map
+        self._first_found = 0  # of the poses: those before are in another world, until loops join it
         self._date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         self.stopped_at: Optional[int] = None
         self.stopped_by = ""
@@ -187,7 +193,9 @@ class Run:
         self._stage_names += [name for name in stages if name not in self._stage_names]
         self.records.append((i, frame.time_ns, tracked, stages, total, pose))
         if tracked and pose.metric and not self.metric:
-            self.metric, self.poses, self._odom_poses = True, [], []  # those before have an unknown scale
+            self.metric, self.poses, self._odom_poses, self._first_found = True, [], [], 0  # those before have an unknown scale
+        if tracked and pose.map_id <= 1 and not self._found_after:  # one that is not joined has a larger number
+            self._found_after, self._first_found = len(self.records), len(self.poses)
         if tracked and pose.metric == self.metric:
             self.poses.append((frame.time_ns, pose.T_world_camera))
             self._odom_poses.append(pose.T_odom_camera)
@@ -235,17 +243,24 @@ class Run:
 
     def _show(self, viewer: Viewer, i: int, frame: ft.Frame, pose: ft.Tracking, tracked: bool,
               milliseconds: Mapping[str, float]) -> None:
-        from .view import Seen
+        from .view import Corrected, Seen
+
+        corrected = None
+        if not np.array_equal(pose.T_world_odom, self._T_world_odom):
+            self._T_world_odom = pose.T_world_odom
+            corrected = Corrected.of(self._odometry.placed_keyframes(), self._odometry.closed_loops())
 
         counts = {"keypoints": pose.keypoints, "with depth": pose.stereo_points, "inliers": pose.inliers,
                   "local map": pose.local_points}
         viewer.show(Seen(i, frame.time_ns, frame.left, tracked, pose.keyframe, pose.T_world_camera,
-                         self._seen(), counts, milliseconds),
+                         self._seen(), counts, milliseconds, corrected),
                     self._odometry.map() if tracked and pose.keyframe else None)
 
     def _corrected(self) -> list[tuple[int, NDArray[np.float64]]]:
         """Each pose moves with the last keyframe that is not after it."""
         placed = self._odometry.placed_keyframes()
+        # Those of a loaded map are before all poses, whatever their times.
+        placed["time_ns"][placed["loaded"]] = np.iinfo(np.int64).min
         last = np.searchsorted(placed["time_ns"], [t for t, _ in self.poses], "right") - 1
         inverse = np.linalg.inv(placed["T_odom_camera"])
 
@@ -257,6 +272,12 @@ class Run:
 
         return [(t, moved(T, k) if k >= 0 else T) for (t, _), T, k in zip(self.poses, self._odom_poses, last)]
 
+    def _edges(self, placed: PlacedKeyframes) -> list[tuple[object, ...]]:
+        """The loops, as write_run() takes them."""
+        closed, T = self._odometry.closed_loops(), placed["T_world_camera"]
+        return [(int(placed["time_ns"][a]), T[a], int(placed["time_ns"][b]), T[b], inliers, bool(placed["loaded"][a]))
+                for a, b, inliers in zip(closed["from"], closed["to"], closed["inliers"].tolist())]
+
     def write(self, settings: Settings) -> None:
         """The files that track_sequence writes. Prints its summary."""
         a, sequence, last = self._arguments, self._sequence, self.last
@@ -266,11 +287,15 @@ class Run:
         scale = last.odom_scale if last else 1.0
         pair = {ft.FisheyePair: "fisheye", ft.MultiRig: "mixed"}.get(type(sequence.rig), "rectified")
         rig = {"mono": "monocular", "rgbd": "rgbd"}.get(sequence.kind, pair)
-        trajectory = ft.Trajectory.of(self._corrected() if a.loops else self.poses)
+        online = ft.Trajectory.of(self.poses[self._first_found:])
+        trajectory = ft.Trajectory.of(self._corrected()) if a.loops else online
         closed = [pose.loops_closed for *_, pose in self.records]
         tracked = [(t, T) for (t, _), T in zip(self.poses, self._odom_poses)]
+        placed = self._odometry.placed_keyframes()
         loops = {"closed": sum(closed), "corrections": sum(n > 0 for n in closed),
-                 "poses": ft.Trajectory.of(self.poses).poses, "tracked": ft.Trajectory.of(tracked).poses} if a.loops else None
+                 "edges": self._edges(placed),
+                 "maps": len(np.unique(placed["map"][~placed["loaded"]])),
+                 "online_time_ns": online.time_ns, "online": online.poses, "tracked": ft.Trajectory.of(tracked).poses} if a.loops else None
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
             "version": ft.__version__, "command": ["python", "-m", "ft", *sys.argv[1:]], "date": self._date,
@@ -286,7 +311,8 @@ class Run:
             "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd",
             "with_imu": sequence.imu is not None, "calibration": self._calibration,
             "warnings": sequence.warnings,
-            "loops": loops, "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
+            "loops": loops, "loaded_map": (a.load_map, self._found_after) if a.load_map else None,
+            "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
             "map_position": (scale * made["position"] @ T[:3, :3].T + T[:3, 3]).tolist(),
             "map_normal": (made["normal"] @ T[:3, :3].T).tolist(),
@@ -323,6 +349,8 @@ def track(arguments: argparse.Namespace) -> int:
     sequence = open_sequence(arguments)
     viewer = viewer_of(arguments, sequence)
     _ft.make_output_folder(arguments.out)
+    if arguments.save_map:
+        require_writable(arguments.save_map)
     odometry, settings = make_odometry(arguments, sequence, arguments.timing or viewer is not None)
     for name, text in sequence.describe(arguments.imu == "auto"):
         print(f"{name:<10}{text}")
@@ -340,12 +368,16 @@ def track(arguments: argparse.Namespace) -> int:
     if viewer is not None:
         viewer.finish()
     run.write(settings)
+    if arguments.save_map and any(record[2] for record in run.records):
+        save_map(arguments.save_map, odometry)
     if run.stopped_at is not None:
         print(f"ft: stopped at frame {run.stopped_at}: {run.stopped_by}", file=sys.stderr)
         return 3
     if not any(record[2] for record in run.records):
         why = {"mono": "the camera does not move enough, or too few corners are seen",
                "rgbd": "too few corners have a depth"}.get(sequence.kind, "too few corners are seen by both cameras")
+        if arguments.localize_only:
+            why = "the camera was not found in the map"
         last = run.last.explanation if run.last else "it has no frame"
         print(f"ft: {arguments.folder}: no frame could be tracked: {why} (--features {settings['features']}); {last}",
               file=sys.stderr)

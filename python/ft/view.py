@@ -2,6 +2,7 @@
 """What a run looks like, in the viewer rerun (package rerun-sdk, 0.23 or newer): as it goes, or in a file.
 
 Entities: world/camera/left (image, keypoints, matches, depths), world/map, world/keyframes, world/trajectory, world/truth;
+world/corrected is the path of the keyframes as loops have corrected it, world/loops joins those that they have recognised;
 counts/NAME and milliseconds/STAGE are plots. The world is the first left camera: x right, y down, z forward, metres. On the
 timeline `frame` are the numbers of frames, on `time` their time stamps.
 """
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _ft
-from .odometry import Map, TrackedKeypoints
+from .odometry import ClosedLoops, Map, PlacedKeyframes, TrackedKeypoints
 from .rigs import Camera
 from .sequences import Trajectory, evaluate
 
@@ -28,6 +29,7 @@ Floats = NDArray[np.float64]
 
 FORMAT = 1  # of recordings
 WHITE, GREEN, ORANGE, GREY, RED = [255, 255, 255], [60, 220, 90], [255, 160, 40], [150, 150, 150], [240, 60, 60]
+BLUE, YELLOW = [80, 140, 255], [250, 230, 60]
 
 
 class MissingPackage(RuntimeError):
@@ -35,9 +37,24 @@ class MissingPackage(RuntimeError):
 
 
 @dataclass
+class Corrected:
+    """What loops have made of the path: pieces of it, (n, 3) each, and the ends of loops, (m, 2, 3)."""
+
+    path: list[Floats]
+    loops: Floats
+
+    @classmethod
+    def of(cls, placed: PlacedKeyframes, closed: ClosedLoops) -> Corrected:
+        """A piece is of one map and one run."""
+        places = placed["T_world_camera"][:, :3, 3]
+        cuts = np.flatnonzero((np.diff(placed["map"]) != 0) | np.diff(placed["loaded"])) + 1
+        return cls(np.split(places, cuts), np.stack([places[closed["from"]], places[closed["to"]]], axis=1))
+
+
+@dataclass
 class Seen:
     """A frame. image: (height, width) uint8, or the path of a PNG file. keypoints: as those of ft.Odometry. counts and
-    milliseconds: numbers by name, for plots."""
+    milliseconds: numbers by name, for plots. corrected: where a correction entered with the frame."""
 
     index: int
     time_ns: int
@@ -48,6 +65,7 @@ class Seen:
     keypoints: TrackedKeypoints
     counts: Mapping[str, float] = field(default_factory=dict)
     milliseconds: Mapping[str, float] = field(default_factory=dict)
+    corrected: Optional[Corrected] = None
 
 
 def _rerun() -> ModuleType:
@@ -117,6 +135,10 @@ class Viewer:
                 self._rerun.log(f"{group}/{name.replace(' ', '_')}", self._rerun.Scalars(float(value)))
         if seen.tracked and seen.keyframe:
             self._show_map(seen, made)
+        if seen.corrected is not None:
+            rerun = self._rerun
+            rerun.log("world/corrected", rerun.LineStrips3D(seen.corrected.path, colors=BLUE))
+            rerun.log("world/loops", rerun.LineStrips3D(seen.corrected.loops, colors=YELLOW))
         self._last = seen
 
     def finish(self) -> None:
@@ -209,13 +231,21 @@ def _matrices(rows: Sequence[Sequence[float]]) -> Floats:
     return all_poses
 
 
+def _corrected(given: Optional[dict[str, Any]]) -> Optional[Corrected]:
+    if given is None:
+        return None
+    return Corrected([np.array(piece, dtype=np.float64).reshape(-1, 3) for piece in given["path"]],
+                     np.array(given["loops"], dtype=np.float64).reshape(-1, 2, 3))
+
+
 class Recording:
     """What track_sequence --record FOLDER wrote: recording.jsonl, and images. Iterates over ft.view.Seen.
 
     The first line of recording.jsonl has ft_recording (the format, 1), sequence, width, height, camera (fx, fy, cx, cy and
     what follows of the model), model (Pinhole, RadTan, KannalaBrandt or DoubleSphere; without it, 8 numbers are KannalaBrandt's), stages, and truth or null: time_ns, T_world_camera, orientation. Each later line is a
     frame: frame, time_ns, image (a path in the folder), tracked, keyframe, T_world_camera (12 numbers, 3x4 row-major), counts,
-    stage_ms, and of the left keypoints x, y, depth (-1 = none), point (-1 = none), matched. A last line that is cut off, as
+    stage_ms, and of the left keypoints x, y, depth (-1 = none), point (-1 = none), matched; with a correction by loops also
+    corrected: path, pieces of places, and loops, pairs of places. A last line that is cut off, as
     of a run that goes on, is left out. Raises RuntimeError that names the file and what is wrong.
     """
 
@@ -270,7 +300,7 @@ class Recording:
                                      matched=np.array(f["matched"]))
         return Seen(f["frame"], f["time_ns"], self.folder / f["image"], f["tracked"], f["keyframe"],
                     _matrices([f["T_world_camera"]])[0], keypoints, f["counts"],
-                    dict(zip(self.header["stages"], f["stage_ms"])))
+                    dict(zip(self.header["stages"], f["stage_ms"])), _corrected(f.get("corrected")))
 
 
 def show_file(file: Union[str, Path]) -> int:

@@ -38,6 +38,7 @@ nb::dict defaults() {
   d["window_points"] = p.window_points;
   d["candidates"] = ft::place_options{}.candidates;
   d["loops"] = p.loops.present;
+  d["localize_only"] = p.rules.localize_only;
   d["own_features"] = p.own_features;
   d["measure_stages"] = p.measure_stages;
   d["features"] = p.orb.features;

@@ -135,6 +135,7 @@ public:
     p.window_points = get("window_points");
     p.measure_stages = nb::cast<bool>(options["measure_stages"]);
     p.loops.present = nb::cast<bool>(options["loops"]);
+    p.rules.localize_only = nb::cast<bool>(options["localize_only"]);
     p.own_features = nb::cast<bool>(options["own_features"]);
     if (!inertial.is_none()) { p.imu = imu_of(inertial); }
     is_multi_ = r.kind == "multi";
@@ -305,6 +306,7 @@ public:
     std::vector<std::int64_t> time_ns;
     std::vector<int> map;
     std::vector<double> tracked, placed, scale;
+    std::vector<std::uint8_t> loaded;
     for (auto const& k : translated([&] { return inner_->placed_keyframes(b); })) {
       time_ns.push_back(k.time_ns);
       map.push_back(k.map);
@@ -312,6 +314,7 @@ public:
       tracked.insert(tracked.end(), T_odom.begin(), T_odom.end());
       placed.insert(placed.end(), T_world.begin(), T_world.end());
       scale.push_back(k.scale);
+      loaded.push_back(k.loaded ? 1 : 0);
     }
     std::size_t const n = time_ns.size();
     nb::dict d;
@@ -320,6 +323,32 @@ public:
     d["T_odom_camera"] = to_numpy(std::move(tracked), {n, 4, 4});
     d["T_world_camera"] = to_numpy(std::move(placed), {n, 4, 4});
     d["scale"] = to_numpy(std::move(scale));
+    d["loaded"] = to_numpy(std::move(loaded)).attr("astype")("bool");
+    return d;
+  }
+  nb::dict closed_loops(int b) const {
+    std::vector<int> from, to, inliers;
+    std::vector<std::int64_t> from_ns, to_ns;
+    std::vector<double> measured, scale;
+    for (auto const& l : translated([&] { return inner_->closed_loops(b); })) {
+      from.push_back(l.from);
+      to.push_back(l.to);
+      from_ns.push_back(l.from_time_ns);
+      to_ns.push_back(l.to_time_ns);
+      pose const T = from_ft(l.T_from_to);
+      measured.insert(measured.end(), T.begin(), T.end());
+      scale.push_back(l.scale);
+      inliers.push_back(l.inliers);
+    }
+    std::size_t const n = from.size();
+    nb::dict d;
+    d["from"] = to_numpy(std::move(from));
+    d["to"] = to_numpy(std::move(to));
+    d["from_time_ns"] = to_numpy(std::move(from_ns));
+    d["to_time_ns"] = to_numpy(std::move(to_ns));
+    d["T_from_to"] = to_numpy(std::move(measured), {n, 4, 4});
+    d["scale"] = to_numpy(std::move(scale));
+    d["inliers"] = to_numpy(std::move(inliers));
     return d;
   }
   nb::dict stage_times() const {
@@ -690,6 +719,7 @@ void bind_odometry(nb::module_& m) {
       .def("keypoints", &bound_odometry::keypoints, nb::arg("b") = 0)
       .def("map", &bound_odometry::map, nb::arg("b") = 0)
       .def("placed_keyframes", &bound_odometry::placed_keyframes, nb::arg("b") = 0)
+      .def("closed_loops", &bound_odometry::closed_loops, nb::arg("b") = 0)
       .def("stage_times", &bound_odometry::stage_times)
       .def("save_map", &bound_odometry::save_map, nb::arg("b") = 0)
       .def("load_map", &bound_odometry::load_map, nb::arg("bytes"), nb::arg("b") = 0)

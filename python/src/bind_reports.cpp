@@ -90,6 +90,23 @@ seq::sample_frame sample_of(nb::handle given) {
   return s;
 }
 
+seq::stamped_pose stamped_of(nb::handle time_ns, nb::handle T_world_camera) {
+  arrays kept;
+  double const* const m = kept.doubles(T_world_camera, "a pose of a loop", {4, 4});
+  seq::stamped_pose p;
+  p.time_ns = nb::cast<std::int64_t>(time_ns);
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 4; ++c) { p.T_world_camera.matrix()(r, c) = m[4 * r + c]; }
+  }
+  return p;
+}
+
+/// @param given time stamp and pose of both keyframes, inliers, whether the first one was loaded
+seq::loop_edge edge_of(nb::handle given) {
+  return {stamped_of(given[0], given[1]), stamped_of(given[2], given[3]), nb::cast<int>(given[4]),
+          nb::cast<bool>(given[5])};
+}
+
 seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
   auto const text = [&](char const* name) { return nb::cast<std::string>(run[name]); };
   auto const count = [&](char const* name) { return nb::cast<int>(run[name]); };
@@ -126,9 +143,13 @@ seq::run_report report_of(seq::sequence const& sequence, nb::handle run) {
     r.loops.emplace();
     r.loops->closed = nb::cast<int>(loops["closed"]);
     r.loops->corrections = nb::cast<int>(loops["corrections"]);
+    r.loops->maps = nb::cast<int>(loops["maps"]);
     r.loops->tracked = trajectory_of(run["time_ns"], loops["tracked"], "the estimate");
-    r.loops->online = trajectory_of(run["time_ns"], loops["poses"], "the estimate");
+    r.loops->online = trajectory_of(loops["online_time_ns"], loops["online"], "the estimate");
+    for (nb::handle const h : loops["edges"]) { r.loops->edges.push_back(edge_of(h)); }
   }
+  nb::object const map = run["loaded_map"];
+  if (!map.is_none()) { r.loaded_map = {nb::cast<std::string>(map[0]), nb::cast<int>(map[1])}; }
   for (nb::handle const h : run["samples"]) { r.samples.push_back(sample_of(h)); }
   for (nb::handle const p : run["cloud"]) {
     auto const at = [&](int i) { return nb::cast<float>(p[i]); };

@@ -38,6 +38,9 @@ def test_loops_are_plugged_in(walk, device):
     assert n > 0 and placed["time_ns"].tolist() == [50_000_000 * i for i, p in enumerate(poses) if p.keyframe]
     assert placed["T_odom_camera"].shape == placed["T_world_camera"].shape == (n, 4, 4)
     assert placed["map"].tolist() == [1] * n and placed["scale"].tolist() == [1.0] * n
+    assert placed["loaded"].tolist() == [False] * n
+    closed = odometry.closed_loops()
+    assert closed["T_from_to"].shape == (0, 4, 4) and all(len(column) == 0 for column in closed.values())
     for p, q in zip(poses, plain):  # a straight line has no loop
         assert p.loops_closed == 0 and np.array_equal(p.T_world_odom, np.eye(4)) and p.odom_scale == 1
         assert np.array_equal(p.T_odom_camera, q.T_world_camera) and np.array_equal(p.T_world_camera, q.T_world_camera)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BASELINE, CAMERA, HEIGHT, WIDTH, Walk
+from conftest import BASELINE, CAMERA, HEIGHT, WIDTH, Walk, view
 
 import ft
 
@@ -349,7 +349,7 @@ def test_options_of_the_program(folder_with_truth, tmp_path):
     assert "track  " not in done.stdout
     assert np.loadtxt(tmp_path / "poses.txt").shape == (6, 12)
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["loops"] == {"closed": 0, "corrections": 0, "online_ate_rmse_m": pytest.approx(summary["ate_rmse_m"])}
+    assert summary["loops"] == {"closed": 0, "corrections": 0, "edges": [], "online_ate_rmse_m": pytest.approx(summary["ate_rmse_m"])}
     online, corrected = (ft.read_tum(tmp_path / name) for name in ("trajectory_online.txt", "trajectory.txt"))
     assert np.allclose(online.poses, corrected.poses, atol=1e-8)
     assert len(summary["stages"]) > 5 and summary["options"]["near points, baselines"].startswith("40")
@@ -423,3 +423,61 @@ def test_options_are_those_of_track_sequence():
     shown = track("--help").stdout
     without = {"--read-ahead", "--realtime"}  # Python has no threads that read ahead
     assert not {option for option in theirs - without if option not in shown}
+
+
+# ---- maps and loops
+
+@pytest.fixture(scope="session")
+def revisited(tmp_path_factory):
+    """A camera that is covered, carried to a place that it has not seen, and comes back to its first way from there."""
+    root = tmp_path_factory.mktemp("revisited")
+    walk = Walk()
+    covered = range(20, 23)
+    places = [(-1.6 + 0.2 * i, 0) for i in range(23)] + [(-0.6 + 0.1 * i, 2.4) for i in range(8)]
+    places += [(0.2, 2.4 - 0.15 * i) for i in range(17)] + [(0.2 + 0.15 * i, 0) for i in range(12)]
+    for camera in (0, 1):
+        (root / f"image_{camera}").mkdir()
+        for i, (x, y) in enumerate(places):
+            seen = view(walk.planes, x + BASELINE * camera, y)
+            write_png(root / f"image_{camera}" / f"{i:06d}.png", 0 * seen if i in covered else seen)
+    (root / "times.txt").write_text("".join(f"{0.05 * i:.9f}\n" for i in range(len(places))))
+    f, _, cx, cy = CAMERA
+    (root / "calib.txt").write_text("".join(
+        f"P{c}: {f} 0 {cx} {-f * BASELINE * c} 0 {f} {cy} 0 0 0 1 0\n" for c in (0, 1)))
+    poses = np.tile(np.eye(4)[:3], (len(places), 1, 1))
+    poses[:, :2, 3] = places
+    np.savetxt(root / "poses.txt", poses.reshape(-1, 12))
+    return root
+
+
+def test_the_program_closes_loops_and_is_found_in_a_map_of_another_process(revisited, tmp_path):
+    room = tmp_path / "room.map"
+    common = ("--backend", "host", "--features", "400", "--loops", "--quiet")
+    done = track(revisited, "--out", tmp_path / "a", *common, "--save-map", room)
+    assert done.returncode == 0, done.stderr
+    assert f"map       saved to {room}, " in done.stdout and not (tmp_path / "room.map.partial").exists()
+    summary = json.loads((tmp_path / "a/summary.json").read_text())
+    loops = summary["loops"]
+    assert loops["closed"] > 0 and loops["corrections"] > 0 and len(loops["edges"]) == loops["closed"]
+    for edge in loops["edges"]:
+        assert edge["from_time_ns"] < edge["to_time_ns"] and edge["inliers"] >= 40
+    assert summary["ate_rmse_m"] < 0.02 and 'class="loop"' in (tmp_path / "a/report.html").read_text()
+
+    done = track(revisited, "--out", tmp_path / "b", *common, "--load-map", room, "--frames", "10")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "b/summary.json").read_text())
+    after = summary["loaded_map"]["found_after"]
+    assert 1 < after <= 4 and f"found after {after} frames\n" in done.stdout and summary["loaded_map"]["file"] == str(room)
+    first, second = (ft.read_tum(tmp_path / name / "trajectory.txt") for name in "ab")
+    same = first.poses[np.isin(first.time_ns, second.time_ns)]
+    assert len(same) >= 8 and np.abs(same[:, :3, 3] - second.poses[:, :3, 3]).max() < 0.02  # in one world
+
+    bad = tmp_path / "bad.map"
+    bad.write_bytes(room.read_bytes()[:1000])
+    for file, word in ((tmp_path / "none.map", "No such file"), (bad, "truncated"), (tmp_path, "Is a directory")):
+        done = track(revisited, "--out", tmp_path / "c", *common, "--load-map", file)
+        assert done.returncode == 1 and f"--load-map {file}: " in done.stderr and word in done.stderr
+    done = track(revisited, "--out", tmp_path / "c", *common, "--save-map", tmp_path / "none/room.map")
+    assert done.returncode == 1 and "--save-map" in done.stderr and "cannot be written: No such file" in done.stderr
+    done = track(revisited, "--out", tmp_path / "c", *common, "--localize-only")
+    assert done.returncode == 2 and "--load-map" in done.stderr

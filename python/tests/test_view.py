@@ -168,6 +168,29 @@ def test_points_of_keyframes_are_where_the_camera_saw_them(recording):
     assert len(log.logged["milliseconds/total"]) == 3
 
 
+def test_the_path_and_the_loops_of_a_correction_are_shown(recording, tmp_path):
+    shutil.copytree(recording, tmp_path / "loops")
+    file = tmp_path / "loops/recording.jsonl"
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    lines[2]["corrected"] = {"path": [[[0, 0, 0], [1, 0, 0]], [[5, 0, 0]]], "loops": [[[0, 0, 0], [5, 0, 0]]]}
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    read, log = view.Recording(tmp_path / "loops"), Log()
+    log.ViewCoordinates = type("ViewCoordinates", (), {"RDF": "RDF"})
+    viewer = Viewer(log, read.header["camera"], WIDTH, HEIGHT, read.truth)
+    for seen in read:
+        viewer.show(seen)
+    (_, (path,), _), = log.logged["world/corrected"]
+    assert [piece.tolist() for piece in path] == [[[0, 0, 0], [1, 0, 0]], [[5, 0, 0]]]
+    (_, (loops,), _), = log.logged["world/loops"]
+    assert loops.tolist() == [[[0, 0, 0], [5, 0, 0]]]
+    T = np.tile(np.eye(4), (4, 1, 1))
+    T[:, 0, 3] = range(4)
+    made = view.Corrected.of({"T_world_camera": T, "map": np.array([1, 1, 1, 2]), "loaded": np.array([True, False, False, False])},
+                             {"from": np.array([0]), "to": np.array([2])})
+    assert [piece[:, 0].tolist() for piece in made.path] == [[0], [1, 2], [3]]
+    assert made.loops[0, :, 0].tolist() == [0, 2]
+
+
 def test_colours_of_depths():
     colours = view.depth_colours(np.array([1.0, 1e6, -1]))
     assert colours[0][0] > colours[0][2] and colours[1][2] > colours[1][0] and len(set(colours[2])) == 1

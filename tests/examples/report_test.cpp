@@ -2,12 +2,15 @@
 // What is computed of a run, and summary.json.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cstddef>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
 #include <vector>
 
 #include "examples/sequence/report.hpp"
+#include "examples/sequence/warnings.hpp"
 #include "tests/support/report_markup.hpp"
 #include "tests/support/report_runs.hpp"
 
@@ -210,6 +213,36 @@ TEST_F(report, json_takes_any_bytes_and_numbers) {
   EXPECT_TRUE(j["path_m"].is_number());  // measured on the estimate itself
 }
 
+/// Lines of the last path with that style, which is not that of the legend.
+long lines_in(std::string const& page, std::string const& style) {
+  std::size_t const at = page.rfind("<path class=\"" + style + '"');
+  if (at == std::string::npos) { return 0; }
+  std::string const drawn = page.substr(at, page.find("/>", at) - at);
+  return std::count(drawn.begin(), drawn.end(), 'M');
+}
+
+TEST_F(report, maps_that_were_joined_or_loaded) {
+  seq::run_report r = filled(20, true);
+  auto const said = [&](char const* words) {
+    auto const all = seq::warnings_of(r);
+    return std::any_of(all.begin(), all.end(),
+                       [&](std::string const& w) { return w.find(words) != std::string::npos; });
+  };
+  r.maps = 2;
+  EXPECT_TRUE(said("2 maps were begun"));
+  r.loops.emplace();
+  EXPECT_FALSE(said("maps were begun")) << "one has been joined with the other";
+  r.loops->maps = 2;
+  EXPECT_TRUE(said("2 maps were begun"));
+  EXPECT_FALSE(summary(r).contains("loaded_map"));
+  r.loaded_map = {"room.map", 0};
+  EXPECT_TRUE(said("not found in the map room.map"));
+  EXPECT_TRUE(summary(r).at("loaded_map").at("found_after").is_null());
+  r.loaded_map->found_after = 3;
+  EXPECT_FALSE(said("room.map"));
+  EXPECT_EQ(summary(r).at("loaded_map").at("found_after"), 3);
+}
+
 TEST_F(report, loops_are_counted_and_the_path_without_them_is_drawn) {
   seq::run_report r = filled(20, true);
   EXPECT_EQ(html(r).find("without its loops"), std::string::npos);
@@ -224,7 +257,19 @@ TEST_F(report, loops_are_counted_and_the_path_without_them_is_drawn) {
   EXPECT_EQ(json.at("closed"), 7);
   EXPECT_EQ(json.at("corrections"), 2);
   EXPECT_EQ(json.at("online_ate_rmse_m"), 0.125);
+  EXPECT_TRUE(json.at("edges").empty());
+  EXPECT_EQ(html(r).find("class=\"loop\""), std::string::npos);
+  auto loaded = r.estimate[1];
+  loaded.time_ns -= 1;  // of another run
+  r.loops->edges = {{r.estimate[0], r.estimate[17], 41, false}, {loaded, r.estimate[16], 42, true}};
+  auto const edges = summary(r).at("loops").at("edges");
+  ASSERT_EQ(edges.size(), 2u);
+  EXPECT_EQ(edges[0].at("from_time_ns"), r.estimate[0].time_ns);
+  EXPECT_EQ(edges[0].at("to_time_ns"), r.estimate[17].time_ns);
+  EXPECT_EQ(edges[1].at("inliers"), 42);
   std::string const page = html(r);
+  EXPECT_EQ(lines_in(page, "loop"), 2);
+  EXPECT_EQ(lines_in(page, "open-loop"), 1) << "where a loaded keyframe was tracked is not known";
   EXPECT_EQ(markup_fault(page), "");
   EXPECT_NE(page.find("without its loops"), std::string::npos);
   EXPECT_NE(page.find("class=\"tracked\""), std::string::npos);

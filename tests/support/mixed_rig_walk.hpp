@@ -37,22 +37,30 @@ inline std::vector<float> render_depth(any const& camera, ft::pose const& T_cw) 
   return depths;
 }
 
+/// What a rig sees whose body is at T_bw.
+template <int N>
+mixed_frame see_mixed(ft::mixed_rig<N> const& rig, std::vector<image> const& walls,
+                      ft::pose const& T_bw) {
+  mixed_frame f{{}, {}, T_bw};
+  for (ft::mixed_rig_camera const& c : rig.of) {
+    ft::pose const T_cw = c.T_cb * f.T_cw;
+    f.images.push_back(c.used ? room::render(c.camera, walls, T_cw) : image{});
+    ft::pose T_rw = T_cw;
+    T_rw.t.x -= static_cast<float>(c.baseline);
+    f.images.push_back(c.has_right_image ? room::render(c.camera, walls, T_rw) : image{});
+    f.depths.push_back(c.has_depth_image ? render_depth(c.camera, T_cw) : std::vector<float>{});
+  }
+  return f;
+}
+
 template <int N>
 std::vector<mixed_frame> make_mixed_walk(ft::mixed_rig<N> const& rig, unsigned seed, int frames) {
   auto const walls = room::make_walls(seed);
   std::vector<mixed_frame> walk;
   for (int i = 0; i < frames; ++i) {
     auto const step = static_cast<float>(i);
-    mixed_frame f{{}, {}, turned(0.012f * step, {0.02f * step, -0.01f * step, 0.05f * step})};
-    for (ft::mixed_rig_camera const& c : rig.of) {
-      ft::pose const T_cw = c.T_cb * f.T_cw;
-      f.images.push_back(c.used ? room::render(c.camera, walls, T_cw) : image{});
-      ft::pose T_rw = T_cw;
-      T_rw.t.x -= static_cast<float>(c.baseline);
-      f.images.push_back(c.has_right_image ? room::render(c.camera, walls, T_rw) : image{});
-      f.depths.push_back(c.has_depth_image ? render_depth(c.camera, T_cw) : std::vector<float>{});
-    }
-    walk.push_back(f);
+    walk.push_back(
+        see_mixed(rig, walls, turned(0.012f * step, {0.02f * step, -0.01f * step, 0.05f * step})));
   }
   return walk;
 }

@@ -21,7 +21,7 @@ using namespace app_test;
 
 constexpr double fps = 12;
 constexpr int mapped_frames = 96;  // 8 s
-constexpr int begin = 26;          // the second run begins after 2.7 s,
+constexpr int skipped = 26;        // the second run begins after 2.7 s,
 constexpr int later_frames = 42;   // and ends after 4.3 s; the map was saved at 8 s
 
 /// The second recording has the room and the way of the first one, other instants and noise.
@@ -30,9 +30,9 @@ strings recorded(bool second) {
           "--fps",   second ? "9.7" : "12", "--noise",  second ? "3" : "2"};
 }
 
-/// Its frames from `begin` on.
+/// Its frames from `skipped` on.
 void leave_begin_out(spoilt_sequence const& s) {
-  ASSERT_EQ(s.drop([](int i) { return i < begin; }), later_frames - begin);
+  ASSERT_EQ(s.drop([](int i) { return i < skipped; }), later_frames - skipped);
 }
 
 json summary_of(std::string const& out) { return json::parse(read_file(out + "/summary.json")); }
@@ -98,7 +98,7 @@ void expect_found(std::string const& mapped, std::string const& later, strings c
       track(later, folder.path("second"),
             joined(loops, {"--load-map", map, "--record", folder.path("record")}));
   ASSERT_TRUE(succeeded(second));
-  int const frames = later_frames - begin;
+  int const frames = later_frames - skipped;
   json const summary = summary_of(folder.path("second"));
   ASSERT_TRUE(summary.at("loaded_map").at("found_after").is_number()) << second;
   int const after = summary.at("loaded_map").at("found_after");
@@ -226,7 +226,7 @@ void write_four_cameras(std::string const& folder, bool second) {
     fs::path const camera = folder + "/mav0/cam" + std::to_string(2 + k);
     fs::create_directories(camera / "data");
     std::ofstream list(camera / "data.csv");
-    for (int i = second ? begin : 0; i < source.size(); ++i) {
+    for (int i = second ? skipped : 0; i < source.size(); ++i) {
       std::string const name = std::to_string(source.time_ns(i)) + ".png";
       list << source.time_ns(i) << "," << name << "\n";
       seq::write_png((camera / "data" / name).string(), source.render_further(i, k).grey);
@@ -251,7 +251,7 @@ TEST(Maps, ARigOfFourCameras) {
   for (char const* camera : {"cam0", "cam1"}) {
     std::string const list = folder.path("later/mav0/" + std::string(camera) + "/data.csv");
     strings lines = lines_of(read_file(list));
-    lines.erase(lines.begin() + 1, lines.begin() + 1 + begin);
+    lines.erase(lines.begin() + 1, lines.begin() + 1 + skipped);
     std::ofstream file(list);
     for (std::string const& l : lines) { file << l << "\n"; }
   }

@@ -137,7 +137,8 @@ SETTINGS_OF(ft::motion_params, even, longest, memory)
 SETTINGS_OF(ft::tracking_rules, min_stereo_points, min_motion_inliers, min_inliers, min_recovered,
             min_evidence, first_wide_search, later_wide_search, patience, wanted_near_points,
             new_near_points, keep_share, unrectified_keep_share, keyframe_period_s, near_depth,
-            far_depth, matches_without_window, doubtful_share, min_support, matched_search, motion)
+            far_depth, matches_without_window, doubtful_share, min_support, matched_search, motion,
+            localize_only)
 SETTINGS_OF(ft::local_map_params, keyframes, neighbours)
 SETTINGS_OF(ft::window_selection, moving, fixed)
 SETTINGS_OF(ft::window_params, steps, huber2, outlier2, no_image, disparity_weight, first_damping,

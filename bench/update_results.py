@@ -385,7 +385,7 @@ def beside_ceres():
     return lines
 
 
-def scenario_rows(file="scenarios_host.json"):
+def scenario_rows(file="scenarios_h200.json"):
     """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
     try:
         result = load(file)
@@ -396,7 +396,7 @@ def scenario_rows(file="scenarios_host.json"):
         by_name.setdefault(r["scenario"], []).append(r)
     seeds = sorted({r["seed"] for r in result["rows"]})
     lines = [
-        f"{result['processor']}; {result['date']}, commit {result['commit']}; seeds {', '.join(map(str, seeds))}.",
+        f"{result['gpu'] or result['processor']}; {result['date']}, commit {result['commit']}; seeds {', '.join(map(str, seeds))}.",
         "",
         "| scenario | seeds | ATE, mm | without IMU, mm | largest, mm | lost | most maps | silent | warned, right | of frames | misses (seeds) |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---|",

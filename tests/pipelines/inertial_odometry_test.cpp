@@ -225,6 +225,29 @@ void expect_that_the_imu_leads(std::vector<ft::tracking> const& all) {
 TYPED_TEST(inertial_odometry, leads_where_images_repeat) {
   TypeParam backend;
   expect_that_the_imu_leads(run_frames(backend.exec, frozen_walk()));
+  expect_that_the_imu_leads(run_frames(backend.exec, frozen_walk(), 1));
+}
+
+// The IMU falls silent meanwhile: where the camera is nobody knows, and no image says it.
+TYPED_TEST(inertial_odometry, repeated_images_say_nothing_without_samples_either) {
+  TypeParam backend;
+  auto const frames = frozen_walk();
+  ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
+  auto const track = [&](int i) {
+    auto const& f = frames[static_cast<std::size_t>(i)];
+    return odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+  };
+  ft::tracking t;
+  for (int i = 0; i <= last_frozen; ++i) {
+    for (int k = i == 0 ? 0 : 4 * i - 3; k <= 4 * i; ++k) {
+      if (i < first_frozen + 2) { odo.add_imu(sample_at(0.25 * k)); }
+    }
+    t = track(i);
+    EXPECT_EQ(t.state == ft::tracking_state::tracking, i < first_frozen) << i;
+  }
+  EXPECT_FALSE(t.imu.predicted);
+  odo.reset();
+  EXPECT_EQ(track(last_frozen).state, ft::tracking_state::tracking) << "a map begins";
 }
 
 // Keypoints are of the left image, so it is as if there were none.

@@ -376,6 +376,9 @@ TYPED_TEST(OdometryRecovery, RefusesWhatCannotBe) {
   with_imu.window = {10, 5};
   EXPECT_THROW(ft::odometry(this->exec, pair, with_imu, 1, ft::inertial{}, ft::places{view, how()}),
                ft::bad_argument);
+  auto unchanged = params();
+  unchanged.rules.localize_only = true;
+  EXPECT_THROW(make(unchanged, {view, how()}, pair), ft::bad_argument);
   ft::multi_rig<1> const rig{{{pair.camera, pair.baseline, ft::pose::identity()}}};
   EXPECT_THROW(make(params(), {view, how()}, rig), ft::bad_argument);
 }

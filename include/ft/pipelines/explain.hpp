@@ -199,11 +199,11 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
     return detail::explain_start(t);
   }
   tracking_evidence const& e = t.evidence;
-  if (t.imu.predicted && e.textured > 0 && e.same > 0) {
+  if (e.facts.frozen != 0) {
     return {tracking_reason::images_repeat, std::to_string(e.same) + " of " +
                                                 std::to_string(e.images) +
-                                                " images are those of the frame before while the "
-                                                "IMU moves: the pose is the IMU's alone"};
+                                                " images are those of the frame before, and the "
+                                                "IMU has moved: the pose is the IMU's alone"};
   }
   return {
       tracking_reason::few_matches,

@@ -60,9 +60,9 @@ struct tracking_rules {
   motion_params motion;
   /// The camera is tracked in a map of odometry::load_map(), which is not changed: no keyframe
   /// enters it, nothing is adjusted, no loop is looked for, no map begins. A camera that is not
-  /// found stays lost. It is searched for near the newest keyframes, where odometry::predict()
-  /// says, and by its words with ft::places. An IMU is not used: what it needs to know is told by
-  /// new keyframes.
+  /// found stays lost. It is searched for near the newest keyframes, and where
+  /// odometry::predict() says. ft::loops does not find it elsewhere, ft::places is refused, and an
+  /// IMU is not used: they need new keyframes.
   bool localize_only = false;
 };
 

@@ -93,6 +93,7 @@ struct frame_facts {
   int held_before = 0;     ///< camera_track::held of the last frame
   int evidence = 0;        ///< of the inliers, bits
   int moving = 0;          ///< 1 = the last frame moved against the one before
+  int frozen = 0;          ///< 1 = its images repeat those from before a motion of the IMU
   int misfit = 0;          ///< sum of the inliers' chi-square, each at most most_misfit, in 1 / 64
   int rows = 0;            ///< its numbers: two of an inlier, three of one with a disparity
   static constexpr int misfit_one = 64, most_misfit = 16;

@@ -124,6 +124,7 @@ private:
     facts.dragged = t.facts.dragged;
     facts.held_before = t.held;
     facts.moving = t.moved;
+    facts.frozen = t.frozen;
     t.facts = facts;
     t.agreed = plan == search_plan::nothing ? 0 : inliers;
     bool const follows = plan == search_plan::follow;

@@ -29,8 +29,7 @@ struct search_start {
   unsigned char const* fixed = nullptr;      ///< as in frames_in_map
   float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; these lose theirs
   int depth_cameras = 1;
-  image_changes const* changes = nullptr;  ///< [batch][images] of the frame's images
-  int images = 0;
+  image_changes const* changes = nullptr;  ///< [images] of the batch, by frame_view::image()
 };
 
 namespace detail {
@@ -122,8 +121,9 @@ private:
   FT_HOST_DEVICE static bool is_frozen(Group g, int b, camera_track const& t,
                                        frame_view const& frame, search_start<Rig> const& start,
                                        rigid<double> const& last) {
-    if (t.guided == 0 || !all_same(frame, b, start.changes)) { return false; }
-    if (t.frozen != 0) { return true; }
+    if (!all_same(frame, b, start.changes)) { return false; }
+    if (t.frozen != 0) { return true; }  // also where its IMU says nothing any more
+    if (t.guided == 0) { return false; }
     auto const T_cw = t.predicted.template cast<strict_float>();
     auto const last_T_cw = last.template cast<strict_float>();
     int const with_depth = start.depth_cameras * frame.capacity();

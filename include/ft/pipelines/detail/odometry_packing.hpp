@@ -190,6 +190,7 @@ private:
     facts.dragged = to.dragged;
     facts.held_before = to.held_before;
     facts.moving = to.moving;
+    facts.frozen = to.frozen;
     to = facts;
   }
 };

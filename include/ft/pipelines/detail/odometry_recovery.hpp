@@ -310,6 +310,8 @@ std::unique_ptr<odometry_part<Exec, Rig>> make_part([[maybe_unused]] places cons
                                                     odometry_stages<Exec, Rig>& stages) {
   require(describes_images, "words are those of ORB: another FT_DESCRIPTOR has no places");
   require(!stages.settings.imu.present, "places are not recognised by an odometry with an IMU");
+  require(!stages.settings.rules.localize_only,
+          "places are those of keyframes since the map was loaded: with rules.localize_only none");
   if constexpr (has_places<typename rig_parts<Rig>::searched_rig>) {
     stages.recognizes_places = true;
     return std::make_unique<odometry_recovery<Exec, Rig>>(exec, given.words, given.how, stages);

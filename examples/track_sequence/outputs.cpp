@@ -138,16 +138,32 @@ void require_map_writable(std::string const& path) {
   }
 }
 
+/// What shows that a folder is that of a recording; empty where nothing does.
+std::string part_of_recording(fs::path const& folder) {
+  for (char const* part : {"mav0", "cam0", "image_0", "image_2", "image_00", "image_02", "rgb.txt",
+                           "associations.txt", "color.txt"}) {
+    if (fs::exists(folder / part)) { return part; }
+  }
+  std::error_code failure;
+  for (fs::directory_iterator it(folder, failure), end; !failure && it != end;
+       it.increment(failure)) {
+    std::string const name = it->path().filename().string();
+    bool const colour = it->path().stem().extension() == ".color";  // frame-000000.color.png
+    if (name.compare(0, 6, "frame-") == 0 && colour) { return name; }
+  }
+  return {};
+}
+
 }  // namespace
 
 void make_output_folder(arguments const& a) {
-  for (char const* part : {"mav0", "cam0", "image_0", "image_2", "rgb.txt", "associations.txt"}) {
-    if (fs::exists(fs::path(a.out) / part)) {
-      throw seq::error("--out " + a.out + ": is the folder of a sequence (it has " + part +
-                       "), whose ground truth could be overwritten");
-    }
-  }
   std::error_code failed;
+  std::string part = part_of_recording(a.out);
+  if (part.empty() && fs::equivalent(a.out, a.sequence, failed)) { part = "the images"; }
+  if (!part.empty()) {
+    throw seq::error("--out " + a.out + ": is the folder of a sequence (it has " + part +
+                     "), whose ground truth could be overwritten; accepted is another folder");
+  }
   fs::create_directories(a.out, failed);
   if (failed) { throw seq::error("--out " + a.out + ": cannot be made: " + failed.message()); }
   require_writable(a.out);

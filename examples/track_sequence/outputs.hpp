@@ -16,8 +16,7 @@ namespace app {
 
 /// Makes the folder for the files.
 /// @throws seq::error where it or the file for a map cannot be written, or where it is the folder
-/// of
-///   a sequence, whose ground truth has the name of an output
+///   of the run's sequence or of another one, whose ground truth has the name of an output
 void make_output_folder(arguments const& a);
 
 /// Writes the map that the next run may load. An older file stays until all is written.

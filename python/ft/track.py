@@ -348,7 +348,7 @@ def track(arguments: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, end_as_ctrl_c)
     sequence = open_sequence(arguments)
     viewer = viewer_of(arguments, sequence)
-    _ft.make_output_folder(arguments.out)
+    _ft.make_output_folder(arguments.out, arguments.folder)
     if arguments.save_map:
         require_writable(arguments.save_map)
     odometry, settings = make_odometry(arguments, sequence, arguments.timing or viewer is not None)

@@ -195,8 +195,13 @@ ft::pose moved(Eigen::Isometry3d const& T) {
 void bind_reports(nb::module_& m) {
   m.def(
       "make_output_folder",
-      [](nb::handle out) { app::make_output_folder(arguments_of(out, "camera", "tum")); },
-      nb::arg("out"), "Raises RuntimeError for a folder that cannot be written.");
+      [](nb::handle out, std::string const& recording) {
+        app::arguments a = arguments_of(out, "camera", "tum");
+        a.sequence = recording;
+        app::make_output_folder(a);
+      },
+      nb::arg("out"), nb::arg("recording"),
+      "Raises RuntimeError for a folder that cannot be written, or that is a recording's.");
   m.def(
       "write_run",
       [](seq::sequence const& sequence, nb::handle out, std::string const& frame,

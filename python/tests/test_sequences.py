@@ -390,6 +390,14 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(folder, folde
         assert "track  " not in done.stdout
     assert (tmp_path / "file").read_text() == ""
     assert len((folder_with_truth / "poses.txt").read_text().splitlines()) == 12
+    plain = tmp_path / "plain"
+    shutil.copytree(folder, plain)
+    (plain / "image_0").rename(plain / "left")
+    (plain / "image_1").rename(plain / "right")
+    (plain / "groundtruth.txt").write_text("0 1 2 3 0 0 0 1\n")
+    done = track(plain, "--fps", "20", "--out", plain)
+    assert done.returncode == 1 and "is the folder of a sequence" in done.stderr, done.stderr
+    assert (plain / "groundtruth.txt").read_text() == "0 1 2 3 0 0 0 1\n"
 
 
 def test_an_image_that_cannot_be_read_ends_the_run(folder, tmp_path):

@@ -400,6 +400,22 @@ TEST(Options, OutIsNotTheSequence) {
   std::string const truth = read_file(folder.path("kitti/groundtruth.txt"));
   EXPECT_TRUE(complained_of(track(folder.path("kitti"), folder.path("kitti")), "--out"));
   EXPECT_EQ(read_file(folder.path("kitti/groundtruth.txt")), truth);
+  for (char const* part :
+       {"image_00/data/0.png", "image_02/data/0.png", "color.txt", "frame-000000.color.png"}) {
+    temp_folder const other;
+    other.write(part, "");
+    other.write("groundtruth.txt", truth);
+    EXPECT_TRUE(complained_of(track(folder.path("kitti"), other.path()), "--out")) << part;
+    EXPECT_EQ(read_file(other.path("groundtruth.txt")), truth);
+  }
+  // Plain folders have no mark.
+  std::string const images = folder.path("images");
+  fs::rename(folder.path("kitti"), images);
+  fs::rename(images + "/image_0", images + "/left");
+  fs::rename(images + "/image_1", images + "/right");
+  outcome const o = track(images, images + "/../images", {"--fps", "20"});
+  EXPECT_TRUE(complained_of(o, "is the folder of a sequence"));
+  EXPECT_EQ(read_file(images + "/groundtruth.txt"), truth);
 }
 
 TEST(Track, KittisColourImages) {

@@ -138,6 +138,23 @@ Eigen::Isometry3d given_to_loaded(raw_ground_truth::frame given, calibration con
   return T_raw_loaded;
 }
 
+/// Poses of a body of which nobody says where the camera is on it: their positions are kept.
+void keep_positions_of_body(raw_ground_truth& truth, layout_of_files const& files,
+                            calibration const& calib, std::vector<std::string>& warnings) {
+  bool const robot = files.name == "openloris" && !truth.poses.empty();
+  bool const imu = files.name == "kitti_raw" && truth.orientation && !calib.has_body_frame;
+  if (!robot && !imu) { return; }
+  truth.orientation = false;
+  for (stamped_pose& pose : truth.poses) { pose.T_world_camera.linear().setIdentity(); }
+  warnings.push_back(
+      imu ? "ground truth: poses are the IMU's, and no calib_imu_to_velo.txt and "
+            "calib_velo_to_cam.txt beside the calibration say where it is: its positions alone are "
+            "taken"
+          : "ground truth: poses are those of the robot's base (base_link), and where the "
+            "camera is on it is not known (trans_matrix.yaml is not read): its positions alone are "
+            "taken, and errors contain the camera's distance from it where the robot turns");
+}
+
 /// ICL-NUIM was rendered by POV-Ray, whose frames are left-handed: x right, y up, z forward, so
 /// that its fy is -480 (https://github.com/ankurhanda/living_room_iclnuim). With y down in the
 /// camera and in the world the same motion is M T M, M = diag(1, -1, 1), and images stay as they
@@ -273,12 +290,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
 
   raw_ground_truth truth = detail::find_ground_truth(files, p->warnings);
   if (truth.y_up || calib.y_up) { mirror_y(truth.poses); }
-  if (files.name == "kitti_raw" && truth.orientation && !calib.has_body_frame) {
-    truth.orientation = false;
-    p->warnings.push_back(
-        "ground truth: poses are the IMU's, and no calib_imu_to_velo.txt and calib_velo_to_cam.txt "
-        "beside the calibration say where it is: its positions alone are taken");
-  }
+  keep_positions_of_body(truth, files, calib, p->warnings);
   p->has_orientation = truth.orientation;
   p->truth = std::move(truth.poses);
   if (truth.orientation) {

@@ -92,6 +92,7 @@ TEST(reader_kitti_raw, says_what_is_missing_or_wrong) {
   fs::remove(date.path("calib_imu_to_velo.txt"));
   seq::sequence const s = seq::sequence::open(drive);
   EXPECT_FALSE(s.ground_truth_has_orientation());
+  EXPECT_EQ(s.ground_truth()[1].T_world_camera.linear(), Eigen::Matrix3d::Identity());
   ASSERT_EQ(s.warnings().size(), 1U);
   EXPECT_TRUE(contains(s.warnings()[0], "calib_imu_to_velo.txt")) << s.warnings()[0];
   for (char const* wrong : {"2011-13-26 13:02:25.9", "2011-09-26 24:02:25.9", "noon", "2011-09-26",

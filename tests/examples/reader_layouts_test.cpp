@@ -257,7 +257,9 @@ TEST(reader_open_loris, colour_and_aligned_depth) {
   folder.write("aligned_depth.txt", depths);
   folder.write("depth.txt", "1560004885.100 depth/1560004885.100.png\n");
   folder.write("camera.txt", "40 40 32 24\n");
-  folder.write("groundtruth.txt", "1560004885.1 0 0 0 0 0 0 1\n");
+  // The base turns by 90 degrees about z, which points up.
+  folder.write("groundtruth.txt",
+               "1560004885.1 1 2 0 0 0 0 1\n1560004885.15 3 2 0 0 0 0.70710678 0.70710678\n");
   seq::sequence const s = seq::sequence::open(folder.path());
   EXPECT_EQ(s.layout(), "openloris");
   EXPECT_EQ(s.kind(), seq::camera_kind::rgbd);
@@ -267,8 +269,14 @@ TEST(reader_open_loris, colour_and_aligned_depth) {
   EXPECT_EQ(s.load(2).depth.pixels[1], 2000);
   EXPECT_EQ(s.depth_unit(), 0.001);
   EXPECT_EQ(s.depth_unit_from(), "as OpenLORIS has it");
-  EXPECT_EQ(s.warnings(), std::vector<std::string>{});
-  EXPECT_EQ(s.ground_truth().size(), 1U);
+  // The truth is of the robot's base, whose axes and place are not the camera's.
+  ASSERT_EQ(s.warnings().size(), 1U);
+  EXPECT_TRUE(contains(s.warnings()[0], "robot's base (base_link)")) << s.warnings()[0];
+  ASSERT_EQ(s.ground_truth().size(), 2U);
+  EXPECT_FALSE(s.ground_truth_has_orientation());
+  Eigen::Isometry3d const turned = s.ground_truth()[1].T_world_camera;
+  EXPECT_EQ(turned.translation(), Eigen::Vector3d(3, 2, 0));
+  EXPECT_EQ(turned.linear(), Eigen::Matrix3d::Identity());
   EXPECT_EQ(seq::sequence::open(folder.path(), as(seq::camera_kind::mono)).kind(),
             seq::camera_kind::mono);
   EXPECT_TRUE(contains(refusal_of(folder.path(), as(seq::camera_kind::stereo)),

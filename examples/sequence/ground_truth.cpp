@@ -112,6 +112,13 @@ trajectory read_pose_files(std::vector<listed_image> const& files,
       ++failed;
       continue;
     }
+    Eigen::Map<Eigen::RowVector4d const> const row(values.data() + 12);
+    double const off = (row - Eigen::RowVector4d::Unit(3)).cwiseAbs().maxCoeff();
+    if (!(off <= 1e-6)) {
+      fail_at(file.file, last,
+              "the fourth row is not 0 0 0 1: accepted is a 4x4 matrix, camera to world, metres, "
+              "row by row");
+    }
     poses.push_back({file.time_ns, pose_of_rows(values.data(), file.file, last)});
   }
   if (failed > 0) {

@@ -115,6 +115,8 @@ TEST(reader_seven_scenes, says_what_is_missing_or_wrong) {
   EXPECT_TRUE(contains(refusal_of(folder.path()), "3 numbers, must have 16"));
   folder.write("frame-000004.pose.txt", "2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
   EXPECT_TRUE(contains(refusal_of(folder.path()), "frame-000004.pose.txt:4: not a rotation"));
+  folder.write("frame-000004.pose.txt", "0 1 0 0\n-1 0 0 0\n0 0 1 0\n4 0.5 -2 1\n");  // transposed
+  EXPECT_TRUE(contains(refusal_of(folder.path()), "the fourth row is not 0 0 0 1"));
   folder.write("frame-000004.pose.txt", "x 0 0 0\n");
   EXPECT_TRUE(contains(refusal_of(folder.path()), "'x' is not a number"));
   fs::remove(folder.path("frame-000004.pose.txt"));

@@ -178,37 +178,36 @@ bool is_date(std::string const& text) {
 
 std::int64_t date_to_ns(std::string const& text, std::string const& path, int line) {
   std::string const word = trim(text);
+  auto const require = [&](bool holds) {
+    if (holds) { return; }
+    fail_at(path, line, "'" + word + "' is not a date such as 2011-09-26 13:02:25.964");
+  };
   auto const number = [&](std::size_t at, std::size_t digits, int low, int high) {
     int value = 0;
     for (std::size_t i = at; i < at + digits; ++i) {
       value = is_digit(word[i]) ? 10 * value + (word[i] - '0') : high + 1;
       if (value > high) { break; }
     }
-    if (value < low || value > high) {
-      fail_at(path, line, "'" + word + "' is not a date such as 2011-09-26 13:02:25.964");
-    }
+    require(value >= low && value <= high);
     return value;
   };
-  if (!is_date(word)) {
-    fail_at(path, line, "'" + word + "' is not a date such as 2011-09-26 13:02:25.964");
-  }
+  require(is_date(word));
   int const year = number(0, 4, 1970, 2200);
   int const month = number(5, 2, 1, 12);
-  int const day = number(8, 2, 1, 31);
   int const hour = number(11, 2, 0, 23);
   int const minute = number(14, 2, 0, 59);
   number(17, 2, 0, 60);
-  constexpr int days_before[] = {0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
+  constexpr int days_before[] = {0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334, 365};
   auto const leap_days = [](int years) { return years / 4 - years / 100 + years / 400; };
   bool const leap = leap_days(year) > leap_days(year - 1);
+  int const in_month = days_before[month] - days_before[month - 1] + (leap && month == 2 ? 1 : 0);
+  int const day = number(8, 2, 1, in_month);
   std::int64_t const days = 365 * (year - 1970) + leap_days(year - 1) - leap_days(1969) +
                             days_before[month - 1] + (leap && month > 2 ? 1 : 0) + day - 1;
   std::int64_t const minutes = (days * 24 + hour) * 60 + minute;
   constexpr std::int64_t in_minute = 60'000'000'000;
   std::int64_t const seconds = seconds_to_ns(word.substr(17), path, line);
-  if (seconds < 0 || seconds > in_minute + in_minute / 60) {
-    fail_at(path, line, "'" + word + "' is not a date such as 2011-09-26 13:02:25.964");
-  }
+  require(seconds >= 0 && seconds <= in_minute + in_minute / 60);
   return minutes * in_minute + seconds;
 }
 

@@ -95,8 +95,11 @@ TEST(reader_kitti_raw, says_what_is_missing_or_wrong) {
   EXPECT_EQ(s.ground_truth()[1].T_world_camera.linear(), Eigen::Matrix3d::Identity());
   ASSERT_EQ(s.warnings().size(), 1U);
   EXPECT_TRUE(contains(s.warnings()[0], "calib_imu_to_velo.txt")) << s.warnings()[0];
-  for (char const* wrong : {"2011-13-26 13:02:25.9", "2011-09-26 24:02:25.9", "noon", "2011-09-26",
-                            "2011-09-26 13:02:2x.9", "2200-09-26 13:02:46e8"}) {
+  for (char const* wrong :
+       {"2011-13-26 13:02:25.9", "2011-09-26 24:02:25.9", "noon", "2011-09-26",
+        "2011-09-26 13:02:2x.9", "2200-09-26 13:02:46e8", "2011-02-29 13:02:25.9",
+        "2012-02-30 13:02:25.9", "2100-02-29 13:02:25.9", "2011-04-31 13:02:25.9",
+        "2011-01-32 13:02:25.9"}) {
     date.write(inside + "image_00/timestamps.txt", std::string(wrong) + "\n");
     std::string const refused = refusal_of(drive);
     EXPECT_TRUE(contains(refused, "timestamps.txt:1: ")) << refused;

@@ -46,11 +46,12 @@ void check_rectified_size(std::string const& path, int number, std::string const
                           std::string const& key, int width, int height) {
   std::vector<std::string> const words = split(text, " \t", true);
   if (words.size() != 2 || width == 0) { return; }
-  int const w = static_cast<int>(finite_number(words[0], path, number));
-  int const h = static_cast<int>(finite_number(words[1], path, number));
+  double const w = finite_number(words[0], path, number);
+  double const h = finite_number(words[1], path, number);
   if (w == width && h == height) { return; }
   fail_at(path, number,
-          key + " is " + size_text(w, h) + ", the images are " + size_text(width, height) +
+          key + " is " + to_text(w) + " x " + to_text(h) + ", the images are " +
+              size_text(width, height) +
               ": accepted are rectified images, those of a drive named _sync");
 }
 

@@ -114,7 +114,10 @@ TEST(reader_kitti_raw, says_what_is_missing_or_wrong) {
   EXPECT_EQ(times_of(seq::sequence::open(drive, options)), leap);
   std::string cameras = "S_rect_00: 99 77\nP_rect_00: 40 0 32 0 0 40 24 0 0 0 1 0\n";
   date.write("calib_cam_to_cam.txt", cameras + "P_rect_01: 40 0 32 -9 0 40 24 0 0 0 1 0\n");
+  EXPECT_TRUE(contains(refusal_of(drive), "S_rect_00 is 99 x 77, the images are 64 x 48"));
   EXPECT_TRUE(contains(refusal_of(drive), "a drive named _sync"));
+  date.write("calib_cam_to_cam.txt", "S_rect_00: 1e300 48.5\n");
+  EXPECT_TRUE(contains(refusal_of(drive), "S_rect_00 is 1e+300 x 48.5"));
   fs::remove(date.path("calib_cam_to_cam.txt"));
   std::string const missing = refusal_of(drive);
   EXPECT_TRUE(contains(missing, "calib_cam_to_cam.txt: no such file; accepted are")) << missing;

@@ -6,6 +6,7 @@
 #include <map>
 #include <string>
 #include <system_error>
+#include <vector>
 
 #include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/text.hpp"
@@ -33,17 +34,32 @@ std::string lower_case(std::string text) {
   return text;
 }
 
-/// The folders in a folder, by their names in lower case.
-std::map<std::string, fs::path> folders_in(fs::path const& root) {
-  std::map<std::string, fs::path> found;
+/// The folders with images in a folder, by their names in lower case: several of one name where
+/// these differ in case alone.
+using named_folders = std::map<std::string, std::vector<fs::path>>;
+
+named_folders folders_in(fs::path const& root) {
+  named_folders found;
   std::error_code failure;
   for (fs::directory_iterator it(root, failure), end; !failure && it != end;
        it.increment(failure)) {
-    if (is_directory(it->path().string())) {
-      found.emplace(lower_case(it->path().filename().string()), it->path());
+    if (is_directory(it->path().string()) && !with_images(it->path()).empty()) {
+      found[lower_case(it->path().filename().string())].push_back(it->path());
     }
   }
+  for (auto& [name, folders] : found) { std::sort(folders.begin(), folders.end()); }
   return found;
+}
+
+/// Where the images of the folder of that name are; empty without. Two of one name are noted.
+fs::path images_in(named_folders const& folders, std::string const& name, camera_folders& found) {
+  auto const at = folders.find(name);
+  if (at == folders.end()) { return {}; }
+  if (at->second.size() > 1) {
+    found.same_name =
+        at->second[0].filename().string() + " and " + at->second[1].filename().string();
+  }
+  return with_images(at->second[0]);
 }
 
 /// "cam_right" for "cam_left", as for any other name of which that is the last word; else empty.
@@ -58,15 +74,16 @@ std::string right_of(std::string const& left) {
 }
 
 /// cam2 ... and depth0 ... beside cam0 and cam1.
-void find_further(fs::path const& root, std::string const& left, camera_folders& found) {
+void find_further(named_folders const& folders, std::string const& left, camera_folders& found) {
   if (left.compare(0, 3, "cam") != 0 || left.back() != '0') { return; }
   for (int k = 2; !found.right.empty(); ++k) {
-    fs::path const next = with_images(root / (left.substr(0, left.size() - 1) + std::to_string(k)));
+    std::string const name = left.substr(0, left.size() - 1) + std::to_string(k);
+    fs::path const next = images_in(folders, name, found);
     if (next.empty()) { break; }
     found.more.push_back(next);
   }
   for (int k = 0; k < 2 + static_cast<int>(found.more.size()); ++k) {
-    fs::path const depth = with_images(root / ("depth" + std::to_string(k)));
+    fs::path const depth = images_in(folders, "depth" + std::to_string(k), found);
     if (!depth.empty()) { found.depths.emplace_back(k, depth); }
   }
 }
@@ -84,29 +101,27 @@ camera_folders find_camera_folders(fs::path const& root) {
                                       {"image_02", "image_03"},
                                       {"infra1", "infra2"},
                                       {"left_images", "right_images"}};
-  std::map<std::string, fs::path> const folders = folders_in(root);
-  auto const images_in = [&](std::string const& name) {
-    auto const at = folders.find(name);
-    return at == folders.end() ? fs::path() : with_images(at->second);
-  };
+  named_folders const folders = folders_in(root);
   for (auto const& [left, right] : pairs) {
-    fs::path const first = images_in(left);
-    if (first.empty()) { continue; }
-    camera_folders found{first, images_in(right), right, {}};
-    find_further(root, left, found);
+    camera_folders found;
+    found.left = images_in(folders, left, found);
+    if (found.left.empty()) { continue; }
+    found.right = images_in(folders, right, found);
+    found.right_name = right;
+    find_further(folders, left, found);
     return found;
   }
   camera_folders named;
-  for (auto const& [left, folder] : folders) {
+  for (auto const& [left, same] : folders) {
     std::string const right = right_of(left);
-    fs::path const first = right.empty() ? fs::path() : with_images(folder);
-    fs::path const second = first.empty() ? fs::path() : images_in(right);
-    if (second.empty()) { continue; }
-    if (named.left.empty()) {
-      named = {first, second, right, {}};
-    } else {
-      named.other_pair = folder.filename().string();
+    if (folders.count(right) == 0) { continue; }
+    if (!named.left.empty()) {
+      named.other_pair = same[0].filename().string();
+      continue;
     }
+    named.left = images_in(folders, left, named);
+    named.right = images_in(folders, right, named);
+    named.right_name = right;
   }
   if (!named.left.empty()) { return named; }
   for (char const* name : {"images", "image", "rgb", "color", "frames", ""}) {

@@ -283,6 +283,11 @@ void check_depth_left_out(layout_of_files& layout) {
 void find_folder_frames(layout_of_files& layout, open_options const& options) {
   if (options.rig == camera_kind::rgbd) { refuse_depths(layout); }
   camera_folders const folders = find_camera_folders(layout.root);
+  if (!folders.same_name.empty()) {
+    throw error(layout.root.string() + ": " + folders.same_name +
+                " differ in upper and lower case alone; accepted is one folder with images of each "
+                "name, such as left and right, in any case");
+  }
   if (!folders.other_pair.empty()) {
     throw error(layout.root.string() + ": several pairs of folders, such as " +
                 folders.left.filename().string() + " and " + folders.other_pair +

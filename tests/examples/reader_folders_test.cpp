@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "examples/sequence/image_io.hpp"
@@ -106,6 +107,31 @@ TEST(reader_folders, names_of_pairs_in_any_case_and_by_their_last_word) {
   fs::remove_all(folder.path("rgb_left"));  // a right camera alone
   EXPECT_TRUE(
       contains(message_of([&] { seq::sequence::open(folder.path()); }), "no sequence found"));
+}
+
+TEST(reader_folders, names_that_differ_in_case_alone_are_refused) {
+  for (auto const& [left, right, same] :
+       std::vector<std::tuple<std::string, std::string, std::string>>{
+           {"left", "right", "LEFT and left"},
+           {"right", "left", "RIGHT and right"},
+           {"ir_left", "ir_right", "IR_LEFT and ir_left"}}) {
+    temp_folder const folder;
+    folder.write("stereo.yaml", stereo_yaml);
+    std::string const upper = same.substr(0, left.size());
+    put(folder, left + "/1.5.png", 1);
+    put(folder, right + "/1.5.png", 2);
+    put(folder, "Notes/1.5.png", 3);  // of no camera
+    put(folder, "notes/1.5.png", 3);
+    fs::create_directories(folder.path(upper));  // without images
+    if (fs::equivalent(folder.path(upper), folder.path(left))) {
+      GTEST_SKIP() << "the disk takes upper and lower case for the same";
+    }
+    EXPECT_EQ(seq::sequence::open(folder.path()).kind(), seq::camera_kind::stereo);
+    put(folder, upper + "/1.5.png", 1);
+    std::string const refused = message_of([&] { seq::sequence::open(folder.path()); });
+    EXPECT_TRUE(contains(refused, same + " differ in upper and lower case")) << refused;
+    EXPECT_TRUE(contains(refused, "accepted is one folder")) << refused;
+  }
 }
 
 TEST(reader_folders, times_in_names_have_their_unit_told_apart) {

@@ -104,6 +104,7 @@ struct camera_folders {
   std::vector<std::pair<int, std::filesystem::path>> depths =
       {};                       ///< depth0 ..., by the camera's number
   std::string other_pair = {};  ///< a second pair, of whose folders one is named so
+  std::string same_name = {};   ///< two of them whose names differ in case alone, for people
 };
 
 camera_folders find_camera_folders(std::filesystem::path const& root);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Opens a sequence on disk: a rig of cameras, a pair or one, in EuRoC's (ASL) or KITTI
-/// odometry's layout (image_0 and image_1, or without them the colour images image_2 and image_3),
-/// or a camera with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or associations.txt),
-/// or in that of OpenLORIS or 7-Scenes, or plain folders of images (left and right, or one). Depth
-/// images of a rig's camera cam2 are in depth2 beside it.
+/// @file Opens a sequence on disk: a rig of cameras, a pair or one, in EuRoC's (ASL), KITTI
+/// odometry's (image_0 and image_1, or without them the colour images image_2 and image_3) or KITTI
+/// raw's layout, or a camera with depth images in that of TUM RGB-D (rgb.txt and depth.txt, or
+/// associations.txt), ICL-NUIM, OpenLORIS or 7-Scenes, or plain folders of images (left and right,
+/// or one). Depth images of a rig's camera cam2 are in depth2 beside it.
 #pragma once
 
 #include <cstdint>
@@ -71,8 +71,9 @@ struct open_options {
   /// 7-Scenes has 30.
   double fps = 0;
   /// Of plain folders: file with a time for each image, a line each, in seconds with a decimal
-  /// point or in whole nano-, micro- or milliseconds. Empty = times.txt or timestamps.txt, if it is
-  /// there.
+  /// point, in whole seconds, milli-, micro- or nanoseconds, or as dates such as
+  /// 2011-09-26 13:02:25.964. Whole numbers that are no times since 1970 are told apart by their
+  /// step. Empty = times.txt or timestamps.txt, if it is there.
   std::string times;
 };
 

@@ -22,11 +22,12 @@ void add_input(CLI::App& app, arguments& a, std::string& folder) {
       "calibration: Kalibr's chain, OpenCV's YAML or XML of a pair (M1, D1, M2, D2, R, T), ROS "
       "camera_info (left.yaml beside right.yaml), basalt's JSON, what "
       "rs-enumerate-devices -c prints, DepthAI's JSON, COLMAP's cameras.txt, ORB-SLAM3 settings, "
-      "KITTI's calib.txt, a camera.txt (fx fy cx cy), or a folder with one; default: the "
+      "KITTI's calib.txt or calib_cam_to_cam.txt, a camera.txt (fx fy cx cy), or a folder with "
+      "one; default: the "
       "sequence's own");
   app.add_option("--fps", a.fps,
-                 "images a second, of folders whose file names are no times; times otherwise: the "
-                 "file names, or times.txt");
+                 "images a second, of folders whose file names are no times, of ICL-NUIM, and of "
+                 "7-Scenes (default: 30); times otherwise: the file names, or times.txt");
   app.add_option("--times", a.times, "file with the time of each image, of folders of images");
   app.add_option("--image-bits", a.image_bits,
                  "bits that hold the samples of grey images of 16 bits; default: 16")
@@ -148,9 +149,9 @@ void check_ranges(CLI::App const& app, arguments const& a) {
 
 int parse(int argc, char** argv, arguments& a) {
   CLI::App app(
-      "Tracks a sequence with ft: a pair of cameras or one (EuRoC or KITTI odometry layout, or "
-      "folders of images), or a camera with depth images (layouts of TUM RGB-D, OpenLORIS and "
-      "7-Scenes).");
+      "Tracks a sequence with ft: a pair of cameras or one (layouts of EuRoC, KITTI odometry "
+      "and KITTI raw, or folders of images), or a camera with depth images (layouts of TUM RGB-D, "
+      "ICL-NUIM, OpenLORIS and 7-Scenes).");
   std::string folder;
   add_input(app, a, folder);
   add_tracking(app, a);

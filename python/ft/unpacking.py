@@ -17,7 +17,7 @@ import numpy as np
 BAGS = (".bag", ".db3", ".mcap")
 VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
 IMAGES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".bmp", ".tif", ".tiff")
-ACCEPTED = (f"accepted are a folder (EuRoC, KITTI, TUM RGB-D, OpenLORIS, 7-Scenes, images), a bag ({', '.join(BAGS)}, the folder of a ROS 2 bag), "
+ACCEPTED = (f"accepted are a folder (EuRoC, KITTI, KITTI raw, TUM RGB-D, ICL-NUIM, OpenLORIS, 7-Scenes, images), a bag ({', '.join(BAGS)}, the folder of a ROS 2 bag), "
             f"one or two videos ({', '.join(VIDEOS)}), and a pattern of images such as 'images/*.png'")
 
 Progress = Callable[[int], None]

@@ -135,8 +135,8 @@ make_python_environment() {
   "$pip" install --quiet --disable-pip-version-check rosbags opencv-python-headless ||
     echo "pip cannot fetch rosbags and opencv-python-headless: bags and videos are not tested"
   "$pip" install --quiet --disable-pip-version-check "mypy<3" || echo "pip cannot fetch mypy: types are not tested"
-  "$pip" install --quiet --disable-pip-version-check evo ||
-    echo "pip cannot fetch evo: figures are not compared with its"
+  "$pip" install --quiet --disable-pip-version-check evo pykitti ||
+    echo "pip cannot fetch evo and pykitti: figures and raw drives are not compared with theirs"
   "$pip" install --quiet --disable-pip-version-check matplotlib nbclient ipykernel "rerun-sdk==0.41.*" ||
     echo "pip cannot fetch matplotlib, nbclient, ipykernel and rerun-sdk: notebooks and recordings are not tested"
 }

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "examples/sequence/image_io.hpp"
@@ -193,6 +194,15 @@ TEST(reader_rigs, a_camera_has_the_depth_images_beside_it) {
   EXPECT_EQ(s.rig().depth_cameras, (std::vector<int>{0, 2}));
   EXPECT_EQ(rights_of(s), (std::vector<int>{-1, -1, -1}));
   EXPECT_EQ(s.load(0).depths[0].pixels[0], 1500);
+  // Names are taken in any case.
+  for (auto const& [name, other] : std::vector<std::pair<std::string, std::string>>{
+           {"cam0", "Cam0"}, {"cam1", "CAM1"}, {"cam2", "Cam2"}, {"depth2", "Depth2"}}) {
+    std::filesystem::rename(folder.path(name), folder.path(other));
+  }
+  s = seq::sequence::open(folder.path(), options);
+  EXPECT_EQ(s.rig().depth_cameras, (std::vector<int>{0, 2}));
+  EXPECT_EQ(s.load(2).more[0].pixels[0], 2);
+  std::filesystem::rename(folder.path("Depth2"), folder.path("depth2"));
   // Where nobody asks for a rig.
   s = seq::sequence::open(folder.path());
   EXPECT_TRUE(!s.mixed() && s.load(0).depths.empty());

@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -246,6 +247,9 @@ TYPED_TEST(inertial_odometry, repeated_images_say_nothing_without_samples_either
     EXPECT_EQ(t.state == ft::tracking_state::tracking, i < first_frozen) << i;
   }
   EXPECT_FALSE(t.imu.predicted);
+  auto const why = ft::explain(t);
+  EXPECT_EQ(why.reason, ft::tracking_reason::images_repeat);
+  EXPECT_NE(why.text.find("the pose is a guess"), std::string::npos) << why.text;
   odo.reset();
   EXPECT_EQ(track(last_frozen).state, ft::tracking_state::tracking) << "a map begins";
 }

@@ -200,10 +200,11 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
   }
   tracking_evidence const& e = t.evidence;
   if (e.facts.frozen != 0) {
-    return {tracking_reason::images_repeat, std::to_string(e.same) + " of " +
-                                                std::to_string(e.images) +
-                                                " images are those of the frame before, and the "
-                                                "IMU has moved: the pose is the IMU's alone"};
+    return {tracking_reason::images_repeat,
+            std::to_string(e.same) + " of " + std::to_string(e.images) +
+                " images are those of the frame before, and the IMU has moved: " +
+                (t.imu.predicted ? "the pose is the IMU's alone"
+                                 : "the pose is a guess, for the IMU says nothing any more")};
   }
   return {
       tracking_reason::few_matches,
@@ -225,7 +226,8 @@ enum class imu_state : int {
 /// The state as a word.
 inline char const* name_of(imu_state state) {
   constexpr char const* names[] = {"initialising", "known", "used"};
-  return names[static_cast<int>(state)];
+  int const i = static_cast<int>(state);
+  return i >= 0 && i <= static_cast<int>(imu_state::used) ? names[i] : "unknown";
 }
 
 /// The status as a word, such as "little_motion".

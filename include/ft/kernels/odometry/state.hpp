@@ -54,7 +54,7 @@ struct camera_track {
   std::int64_t seen_ns;      ///< of the last frame whose pose comes from the map, or that began one
   int begun;                 ///< 1 = a frame was seen
   int guided;                ///< 1 = `predicted` comes from an IMU
-  int frozen;                ///< 1 = all images are those of a frame before the IMU's motion
+  int frozen;                ///< 1 = images that have keypoints repeat since the IMU has moved
   int lost_frames;           ///< in a row
   int lost_with_features;    ///< of these, the last ones in a row with enough stereo points
   int held;                  ///< left keypoints that held a map point in the last tracked frame

@@ -389,6 +389,31 @@ def beside_ceres():
     return lines
 
 
+def mixed_rigs():
+    """Medians over the seeds."""
+    record, rows = tables_of("mixed_rigs_h200.json", "rows")[-1]
+    lines = [measured_on(record), "", "| cameras | ATE, mm | with IMU | p50, ms | with IMU | p99, ms | with IMU |", "|---|---:|---:|---:|---:|---:|---:|"]
+    for name in dict.fromkeys(r["cameras"] for r in rows):
+        cells = []
+        for figure, digits in (("ate_mm", 1), ("p50_ms", 2), ("p99_ms", 2)):
+            for imu in (False, True):
+                cells.append(f"{statistics.median(r[figure] for r in rows if r['cameras'] == name and r['imu'] == imu):.{digits}f}")
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def energy():
+    record, rows = tables_of("energy_h200.json", "rows")[-1]
+    lines = [measured_on(record), "", "| | rate, Hz | GPU at rest, W | mJ of a frame beyond it, each run | p50, ms | p99, ms |", "|---|---:|---:|---|---:|---:|"]
+    for name, hz in dict.fromkeys((r["name"], r["hz"]) for r in rows):
+        runs = [r for r in rows if (r["name"], r["hz"]) == (name, hz)]
+        rest = [r[k] for r in runs for k in ("watts_before", "watts_after")]
+        p50, p99 = (statistics.median(r[k] for r in runs) for k in ("ms_p50", "ms_p99"))
+        told = ", ".join(f"{r['millijoules']:.0f}" for r in runs)
+        lines.append(f"| {name} | {hz:g} | {min(rest):.0f} to {max(rest):.0f} | {told} | {p50:.2f} | {p99:.2f} |")
+    return lines
+
+
 def scenario_rows(file="scenarios_h200.json"):
     """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
     try:
@@ -526,7 +551,7 @@ TABLES = {
     },
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
-        "speed asked": speed_asked, "descriptors": descriptors,
+        "speed asked": speed_asked, "descriptors": descriptors, "mixed rigs": mixed_rigs, "energy": energy,
         "loops wanted": lambda: wanted("wanted_loops.json", "before, or elsewhere", True), "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,
     },
     "bench/results/README.md": {

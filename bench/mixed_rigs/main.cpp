@@ -223,7 +223,7 @@ int main(int argc, char** argv) {
       for (part const& p : parts) {
         for (bool const imu : {false, true}) {
           result const e = run(r, p, imu, where);
-          std::printf("| %llu | %s | %s | %.2f | %d | %d | %.1f | %.1f |\n",
+          std::printf("| %llu | %s | %s | %.2f | %d | %d | %.3f | %.3f |\n",
                       static_cast<unsigned long long>(seed), p.name.c_str(), imu ? "yes" : "no",
                       e.ate_mm, e.lost, e.imu_frames, e.p50_ms, e.p99_ms);
           std::fflush(stdout);

@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file Tracks a sequence with cuVSLAM's odometry, on the frames that ft gets: a camera pair, one
 /// camera, or one with depth images. See README.md here.
+#include "bench/peers/at_rate.hpp"
 #include "examples/sequence/evaluation.hpp"
 #include "examples/sequence/reader.hpp"
 
 #include <cuvslam2.h>
 
-#include <algorithm>
 #include <chrono>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <exception>
@@ -123,15 +122,8 @@ public:
     for (int i = 0; i < sequence_.size(); ++i) {
       seq::stereo_frame const frame = sequence_.load(i);
       add_imu(frame.time_ns);
-      cuvslam::Odometry::ImageSet images{to_image(frame.left, frame.time_ns, 0)};
-      cuvslam::Odometry::ImageSet depths;
-      if (sequence_.kind() == seq::camera_kind::stereo) {
-        images.push_back(to_image(frame.right, frame.time_ns, 1));
-      } else if (sequence_.kind() == seq::camera_kind::rgbd) {
-        depths.push_back(to_image(frame.depth, frame.time_ns));
-      }
       auto const begin = std::chrono::steady_clock::now();
-      auto const found = odometry_.Track(images, {}, depths);
+      auto const found = track(frame, frame.time_ns);
       std::chrono::duration<double, std::milli> const took =
           std::chrono::steady_clock::now() - begin;
       ms_.push_back(took.count());
@@ -140,6 +132,16 @@ public:
       }
     }
     return poses;
+  }
+  cuvslam::PoseEstimate track(seq::stereo_frame const& frame, std::int64_t time_ns) {
+    cuvslam::Odometry::ImageSet images{to_image(frame.left, time_ns, 0)};
+    cuvslam::Odometry::ImageSet depths;
+    if (sequence_.kind() == seq::camera_kind::stereo) {
+      images.push_back(to_image(frame.right, time_ns, 1));
+    } else if (sequence_.kind() == seq::camera_kind::rgbd) {
+      depths.push_back(to_image(frame.depth, time_ns));
+    }
+    return odometry_.Track(images, {}, depths);
   }
   std::vector<double> const& ms() const { return ms_; }
 
@@ -166,11 +168,14 @@ struct arguments {
   std::string folder, trajectory, json;
   seq::open_options open;
   bool asynchronous = false;
+  double hz = 0, seconds = 20;  ///< of run_at_rate(); 0 = one frame after the other
 };
 
 std::optional<arguments> read_arguments(std::vector<std::string> const& words) {
   if (words.size() < 2) { return {}; }
-  arguments out{words[0], words[1], {}, {}, false};
+  arguments out;
+  out.folder = words[0];
+  out.trajectory = words[1];
   out.open.rig = seq::camera_kind::stereo;
   for (std::size_t i = 2; i < words.size(); ++i) {
     if (words[i] == "--imu") {
@@ -190,6 +195,10 @@ std::optional<arguments> read_arguments(std::vector<std::string> const& words) {
       out.open.rig = seq::camera_kind::rgbd;
     } else if (option == "--json") {
       out.json = value;
+    } else if (option == "--hz") {
+      out.hz = std::stod(value);
+    } else if (option == "--seconds") {
+      out.seconds = std::stod(value);
     } else if (option != "--rig" || value != "stereo") {
       return {};
     }
@@ -197,13 +206,6 @@ std::optional<arguments> read_arguments(std::vector<std::string> const& words) {
   bool const pair = out.open.rig == seq::camera_kind::stereo;
   if (out.open.read_imu && !pair) { return {}; }
   return out;
-}
-
-/// The value that `percent` of the values do not exceed (nearest rank).
-double percentile(std::vector<double> values, double percent) {
-  std::sort(values.begin(), values.end());
-  double const rank = std::ceil(percent / 100 * static_cast<double>(values.size()));
-  return values[static_cast<std::size_t>(std::max(rank, 1.0)) - 1];
 }
 
 /// ATE after rigid alignment; of one camera with its scale fitted first.
@@ -221,8 +223,8 @@ std::optional<double> ate_of(seq::sequence const& sequence, seq::trajectory pose
 void write_json(std::ostream& out, std::optional<double> ate, seq::trajectory const& poses,
                 std::vector<double> const& ms) {
   out << "{\"frames\": " << ms.size() << ", \"lost\": " << ms.size() - poses.size()
-      << ", \"ms_p50\": " << percentile(ms, 50) << ", \"ms_p99\": " << percentile(ms, 99)
-      << ", \"ate_m\": ";
+      << ", \"ms_p50\": " << peers::percentile(ms, 50)
+      << ", \"ms_p99\": " << peers::percentile(ms, 99) << ", \"ate_m\": ";
   if (ate) {
     out << *ate;
   } else {
@@ -238,7 +240,7 @@ int main(int argc, char** argv) {
     auto const asked = read_arguments({argv + 1, argv + argc});
     if (!asked) {
       std::cerr << "usage: cuvslam_client FOLDER TRAJECTORY.txt [--rig stereo|mono|rgbd] [--imu]"
-                   " [--async] [--json FILE]\n";
+                   " [--async] [--json FILE] [--hz RATE [--seconds S]]\n";
       return 2;
     }
     auto const sequence = seq::sequence::open(asked->folder, asked->open);
@@ -248,6 +250,15 @@ int main(int argc, char** argv) {
     if (sequence.size() == 0) { throw seq::error(asked->folder + ": has no frames"); }
     cuvslam::WarmUpGPU();
     client tracker(sequence, asked->asynchronous);
+    if (asked->hz > 0) {
+      int lost = 0;
+      peers::run_at_rate(sequence, asked->hz, asked->seconds,
+                         [&](seq::stereo_frame const& frame, std::int64_t time_ns) {
+                           lost += tracker.track(frame, time_ns).world_from_rig ? 0 : 1;
+                         });
+      if (lost > 0) { std::cerr << lost << " frames lost\n"; }
+      return 0;
+    }
     seq::trajectory const poses = tracker.track_all();
     seq::write_tum(asked->trajectory, poses);
     auto const ate = ate_of(sequence, poses);

@@ -101,6 +101,25 @@ struct room {
     arrays const& v = data.host;
     return v.imu.motion[v.imu.at(b, v.keyframes.position(first_number + view))];
   }
+  /// Between two views of an entry, rad.
+  double angle(int b) const {
+    auto const at = static_cast<std::size_t>(b * views);
+    auto const R = T_cw[at + 1].R * T_cw[at].R.transposed();
+    return std::acos((R.m[0] + R.m[4] + R.m[8] - 1) / 2);
+  }
+  /// What centres of the first entry cost that are off by so much.
+  double cost(std::vector<vector> const& by) const {
+    ft::window_problem_view const& p = data.host.problem;
+    std::vector<vector> off;
+    for (std::size_t v = 0; v < views; ++v) {
+      off.push_back(T_cw[v].centre() - p.centre_goal[v] + (by.empty() ? vector{} : by[v]));
+    }
+    double sum = 0;
+    for (std::size_t i = 0; i < views * views; ++i) {
+      sum += p.centre_information[i] * ft::dot(off[i / views], off[i % views]);
+    }
+    return sum;
+  }
   /// [batch * views]
   std::vector<ft::window_link> link() {
     data.push(exec);
@@ -128,10 +147,46 @@ TYPED_TEST(LinkWindows, MeasureTheMotionBetweenKeyframes) {
     EXPECT_NEAR(links[i].motion.t.y, want.t.y, 3e-6) << i;
     EXPECT_NEAR(links[i].motion.t.z, want.t.z, 3e-6) << i;
     double const turn = 3e-8 + std::pow(5e-3 * time, 2);
-    double const shift = 12e-6 + std::pow(0.05 * time, 2) + std::pow(0.025 * time * time, 2);
     EXPECT_NEAR(links[i].rotation_weight * turn, 1, 1e-5) << i;
-    EXPECT_NEAR(links[i].translation_weight * shift, 1, 1e-5) << i;
+    EXPECT_EQ(links[i].translation_weight, 0) << "the cost of centres has it";
   }
+  EXPECT_LT(r.cost({}), 1e-3) << "the path that was measured";
+  EXPECT_LT(r.cost({{0.01, 0, 0}, {0.02, 0, 0}, {0.03, 0, 0}, {0.04, 0, 0}}), 1e-3)
+      << "at another velocity";
+  EXPECT_GT(r.cost({{0, 0, 0}, {0.01, 0, 0}, {0, 0, 0}, {0, 0, 0}}), 1);
+}
+
+TYPED_TEST(LinkWindows, CostABentPathByWhatBendsIt) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec, 6);
+  r.integral(0, 1).status = ft::integration_status::gap;  // three views are left
+  r.link();
+  double const T = static_cast<double>(dT);
+  auto const square = [](double x) { return x * x; };
+  double const tilt = ft::dot(r.gravity, r.gravity) * square(1e-3);
+  double const pp = 4e-6 + tilt * square(0.5 * T * T) + square(3e-3);
+  double const pv = tilt * 0.5 * T * T * T;
+  double const vv = 1e-6 + tilt * square(T);
+  double const turned = square(0.1 * r.angle(0)) + square(1e-4);
+  // What bends them: errors of both positions and of the velocity, and of the acceleration.
+  double const variance =
+      2 * pp / square(T) - 2 * pv / T + vv + square(0.1 * T) + square(0.5 * T) * turned;
+  for (vector const& by : {vector{0.01, 0, 0}, vector{0, -0.02, 0.005}}) {
+    double const want = ft::dot(by, by) / square(T) / variance;
+    EXPECT_NEAR(r.cost({{}, {}, {}, by}) / want, 1, 2e-3);
+    EXPECT_NEAR(r.cost({by, {}, {}, by}) / want, 1, 2e-3) << "nothing joins the first";
+  }
+}
+
+TYPED_TEST(LinkWindows, LeaveOutWhatTheImagesMovedOtherwise) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec, 7);
+  r.integral(0, 1).dP.x += 1;  // a metre that no camera has seen
+  auto const links = r.link();
+  EXPECT_GT(links[1].rotation_weight, 0);
+  EXPECT_LT(r.cost({}), 1e-3);
+  EXPECT_LT(r.cost({{0, 2, 0}, {}, {0.1, 0, 0}, {0.2, 0, 0}}), 1e-3) << "nothing joins the first";
+  EXPECT_GT(r.cost({{}, {}, {0.1, 0, 0}, {}}), 1);
 }
 
 TYPED_TEST(LinkWindows, SayNothingOfWhatIsNotKnown) {
@@ -208,8 +263,22 @@ TYPED_TEST(LinkWindows, ExecutorsAgreeToTheBit) {
   for (unsigned seed = 10; seed < 20; ++seed) {
     room<ft::host_exec> a(host, seed);
     room<typename TypeParam::exec_type> b(backend.exec, seed);
+    for (int k = 1; k < views; ++k) {
+      auto const any = static_cast<float>(seed * static_cast<unsigned>(k) % 7);
+      a.integral(0, k).C[60] = b.integral(0, k).C[60] = 1e-6f * any;
+    }
+    if (seed % 3 == 0) {
+      a.integral(0, 2).status = b.integral(0, 2).status = ft::integration_status::gap;
+    }
     auto const want = a.link();
     auto const got = b.link();
+    auto const& p = a.data.host.problem;
+    auto const& q = b.data.host.problem;
+    EXPECT_EQ(
+        std::memcmp(p.centre_information, q.centre_information, 2 * views * views * sizeof(double)),
+        0)
+        << seed;
+    EXPECT_EQ(std::memcmp(p.centre_goal, q.centre_goal, 2 * views * sizeof(vector)), 0) << seed;
     EXPECT_EQ(std::memcmp(want.data(), got.data(), want.size() * sizeof(want[0])), 0) << seed;
     EXPECT_GT(want[1].rotation_weight, 0);
   }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adjustments of windows whose views are linked by measured motions: derivatives, costs, minima,
-// views that a link alone holds, equal bits on both executors.
+// Adjustments of windows whose views are linked by measured motions, or whose centres have a cost:
+// derivatives, costs, minima, views that these alone hold, equal bits on both executors.
 #include "ft/kernels/window/detail/residual.hpp"
 
 #include <gtest/gtest.h>
@@ -93,7 +93,8 @@ protected:
   template <typename Rig>
   void check_costs(unsigned seed) {
     auto const rig = example_rig<Rig>();
-    auto const s = linked<Rig>({9, 3, 250, 7, 0.7, 0.05}, 0.01, seed);
+    auto s = linked<Rig>({9, 3, 250, 7, 0.7, 0.05}, 0.01, seed);
+    if (seed % 2 == 0) { test::hold_centres(s, 0.01, seed); }
     auto const r = one<Rig>(s, {});
     ASSERT_EQ(r.outcome.valid, 1);
     double const first = test::judge(rig, s, s.T_cw, s.position).cost;
@@ -106,7 +107,8 @@ protected:
   template <typename Rig>
   void check_minimum(int fixed, unsigned seed) {
     auto const rig = example_rig<Rig>();
-    auto const s = linked<Rig>({6, fixed, 80, 5, 0.7, 0.04}, 0.01, seed);
+    auto s = linked<Rig>({6, fixed, 80, 5, 0.7, 0.04}, 0.01, seed);
+    if (fixed == 1) { test::hold_centres(s, 0.01, seed); }
     auto const r = one<Rig>(s, thorough(60));
     ASSERT_EQ(r.outcome.valid, 1);
     double const cost = test::judge(rig, s, r.T_cw, r.position).cost;
@@ -145,6 +147,21 @@ TYPED_TEST(window_links, a_view_that_sees_nothing_is_held_by_its_links) {
   EXPECT_LT(off(r.T_cw), 2e-5);  // what floats of pixels leave to its neighbours
 }
 
+TYPED_TEST(window_links, a_view_that_sees_nothing_is_held_by_the_cost_of_its_centre) {
+  auto s = make_window(example_rig<ft::rectified_rig>(), {8, 2, 150, 8}, 6);
+  test::hold_centres(s, 0, 6);
+  int const blind = 5;
+  for (int p = 0; p < s.points(); ++p) { s.seen[s.at(p, blind, 0)].inv_sigma2 = 0; }
+  auto const r = this->template one<ft::rectified_rig>(s, thorough(60));
+  ASSERT_EQ(r.outcome.valid, 1);
+  auto const off = [&](std::vector<motion> const& T_cw) {
+    auto const d = T_cw[blind].centre() - s.true_T_cw[blind].centre();
+    return std::sqrt(ft::dot(d, d));
+  };
+  EXPECT_GT(off(s.T_cw), 1e-3);
+  EXPECT_LT(off(r.T_cw), 2e-5);
+}
+
 TYPED_TEST(window_links, links_without_weights_change_no_bit) {
   auto const s = make_window(example_rig<ft::rectified_rig>(), {9, 3, 250, 7, 0.7, 0.05}, 8);
   auto linked_in_vain = s;
@@ -162,6 +179,8 @@ TYPED_TEST(window_links, executors_and_batches_agree_to_the_bit) {
                                   30 + static_cast<unsigned>(b)));
   }
   scenes[2].links.clear();
+  test::hold_centres(scenes[1], 0.01, 40);
+  test::hold_centres(scenes[4], 0.01, 41);
   auto const want = adjust(ft::host_exec(1), rig, scenes, {});
   auto const got = adjust(this->backend.exec, rig, scenes, {});
   for (std::size_t b = 0; b < scenes.size(); ++b) {

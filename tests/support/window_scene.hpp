@@ -74,6 +74,8 @@ struct window_scene {
   std::vector<ft::window_observation> seen;  ///< [points][views][cameras]
   std::vector<unsigned char> wrong;          ///< the same shape; 1 = an error made on purpose
   std::vector<ft::window_link> links;        ///< [views] from the view before; empty = none
+  std::vector<double> centre_information;    ///< [views][views]; empty = none, likewise
+  std::vector<ft::vec3<double>> centre_goal;
 
   int views() const { return static_cast<int>(T_cw.size()); }
   int points() const { return static_cast<int>(position.size()); }
@@ -176,6 +178,34 @@ inline double link_costs(window_scene const& s, std::vector<motion> const& T_cw)
   return sum;
 }
 
+/// A cost of centres that are off by up to `error`, m, as of errors that views share. With some
+/// entries that are 0, as between views that nothing joins.
+inline void hold_centres(window_scene& s, double error, unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> of(-1, 1);
+  auto const n = s.T_cw.size();
+  s.links.resize(n, {motion::identity(), 0, 0});
+  s.centre_information.assign(n * n, 0);
+  for (std::size_t k = 0; k < 2 * n; ++k) {  // sums of squares of a few views' errors
+    std::vector<double> row(n);
+    for (std::size_t v = k / 3; v < std::min(n, k / 3 + 4); ++v) { row[v] = 100 * of(random); }
+    for (std::size_t i = 0; i < n * n; ++i) { s.centre_information[i] += row[i / n] * row[i % n]; }
+  }
+  for (motion const& T : s.true_T_cw) {
+    s.centre_goal.push_back(
+        T.centre() + ft::vec3<double>{error * of(random), error * of(random), error * of(random)});
+  }
+}
+inline double centre_costs(window_scene const& s, std::vector<motion> const& T_cw) {
+  double sum = 0;
+  auto const n = T_cw.size();
+  for (std::size_t i = 0; i < s.centre_information.size(); ++i) {
+    sum += s.centre_information[i] * ft::dot(T_cw[i / n].centre() - s.centre_goal[i / n],
+                                             T_cw[i % n].centre() - s.centre_goal[i % n]);
+  }
+  return sum;
+}
+
 struct window_result {
   std::vector<motion> T_cw;
   std::vector<ft::vec3<double>> position;
@@ -208,7 +238,7 @@ window_judgement judge(Rig const& rig, window_scene const& s, std::vector<motion
                        std::vector<ft::vec3<double>> const& position,
                        ft::window_params const& params = {}) {
   window_judgement j;
-  j.cost = link_costs(s, T_cw);
+  j.cost = link_costs(s, T_cw) + centre_costs(s, T_cw);
   auto const count = [&](bool has_image, double chi2) {
     double const robust =
         chi2 <= params.huber2 ? chi2 : 2 * std::sqrt(params.huber2 * chi2) - params.huber2;
@@ -303,6 +333,17 @@ std::vector<window_result> adjust(Exec const& exec, Rig const& rig,
       ft::window_link* const to = host.link + host.view(b, 0);
       std::fill_n(to, room.views, ft::window_link{motion::identity(), 0, 0});
       std::copy(s.links.begin(), s.links.end(), to);
+      double* const information = host.centre_information + host.view(b, 0) * room.views;
+      std::fill_n(information, room.views * room.views, nan);
+      std::fill_n(host.centre_goal + host.view(b, 0), room.views, ft::vec3<double>{});
+      std::copy(s.centre_goal.begin(), s.centre_goal.end(), host.centre_goal + host.view(b, 0));
+      for (int v = 0; v < s.views(); ++v) {
+        for (int u = 0; u < s.views(); ++u) {
+          auto const i = static_cast<std::size_t>(v * s.views() + u);
+          information[v * room.views + u] =
+              s.centre_information.empty() ? 0 : s.centre_information[i];
+        }
+      }
     }
     for (int p = 0; p < s.points(); ++p) {
       for (int v = 0; v < s.views(); ++v) {
@@ -319,7 +360,11 @@ std::vector<window_result> adjust(Exec const& exec, Rig const& rig,
     move(&ft::window_problem_view::point_count, n);
     move(&ft::window_problem_view::T_cw, n * static_cast<std::size_t>(room.views));
     if (room.links) {
-      move(&ft::window_problem_view::link, n * static_cast<std::size_t>(room.views));
+      auto const all = n * static_cast<std::size_t>(room.views);
+      move(&ft::window_problem_view::link, all);
+      move(&ft::window_problem_view::centre_goal, all);
+      move(&ft::window_problem_view::centre_information,
+           all * static_cast<std::size_t>(room.views));
     }
     move(&ft::window_problem_view::position, n * static_cast<std::size_t>(room.points));
     move(&ft::window_problem_view::seen, sightings);

@@ -64,6 +64,10 @@ struct window_problem_view {
   window_observation* seen = nullptr;  ///< [batch][points][views][cameras]
   window_link* link = nullptr;  ///< [batch][views] from the view before; the first is not read.
                                 ///< Null: none
+  /// [batch][views][views] Q, 1 / m^2, symmetric and positive semidefinite: the centres C of all
+  /// views cost the sum over pairs (u, v) of Q_uv (C_u - G_u) (C_v - G_v). Null: nothing
+  double* centre_information = nullptr;
+  vec3<double>* centre_goal = nullptr;  ///< [batch][views] G, world, metres
   /// [batch][points][views][cameras] result of a valid problem: bits of window_outlier. 0 where the
   /// point is not seen.
   unsigned char* outlier = nullptr;
@@ -87,7 +91,7 @@ struct window_capacity {
   int views = 15;      ///< 1 to max_window_views
   int points = 4096;   ///< 1 to 2^20
   int cameras = 1;     ///< 1 to 16
-  bool links = false;  ///< whether there is room for links
+  bool links = false;  ///< whether there is room for links, and for a cost of the centres
 };
 
 /// Places the arrays into an arena. Nothing is initialised.
@@ -105,7 +109,10 @@ inline void carve(carver& c, window_problem_view& v, window_capacity const& capa
   c.place({batch, v.views}, v.T_cw);
   c.place({batch, v.points}, v.position);
   c.place({batch, v.points, v.views, v.cameras}, v.seen);
-  if (capacity.links) { c.place({batch, v.views}, v.link); }
+  if (capacity.links) {
+    c.place({batch, v.views}, v.link, v.centre_goal);
+    c.place({batch, v.views, v.views}, v.centre_information);
+  }
   c.place({batch, v.points, v.views, v.cameras}, v.outlier);
   c.place({batch}, v.outcome);
 }

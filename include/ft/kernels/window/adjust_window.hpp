@@ -11,6 +11,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/ordered_sum.hpp"
+#include "ft/kernels/window/detail/centre_cost.hpp"
 #include "ft/kernels/window/detail/evaluate.hpp"
 #include "ft/kernels/window/detail/residual.hpp"
 #include "ft/kernels/window/workspace.hpp"
@@ -231,7 +232,9 @@ struct solve_window {
       system.a = own;
       g.sync();
     }
-    add_links(g, problem, b, w.views_of(state.buffer, b), {system.a, system.side(), state.damping});
+    link_terms const by_views{system.a, system.side(), state.damping};
+    add_links(g, problem, b, w.views_of(state.buffer, b), by_views);
+    add_centres(g, problem, b, w.views_of(state.buffer, b), by_views);
     double* const d = w.steps_of(b);
     bool const solved = system.factor(g);
     if (g.rank() == 0) { w.solved[b] = solved ? 1 : 0; }
@@ -251,7 +254,8 @@ struct solve_window {
 ///
 /// An observation costs its squared weighted error, from `huber2` on Huber's function of it, and
 /// `no_image` where the point has no image. A disparity of a rectified pair is an observation of
-/// its own. A link costs its squared weighted errors; see detail/residual.hpp. A step that does not
+/// its own. A link costs its squared weighted errors; see detail/residual.hpp. Centres cost what
+/// window_problem_view says. A step that does not
 /// lower the cost is refused, and the next one has ten times the damping. The descent ends after
 /// `steps` tried ones, or with one that lowers the cost by a share below `enough`. Problems that
 /// have ended skip the remaining launches.

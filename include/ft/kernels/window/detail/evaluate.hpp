@@ -9,6 +9,7 @@
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/ordered_sum.hpp"
+#include "ft/kernels/window/detail/centre_cost.hpp"
 #include "ft/kernels/window/detail/residual.hpp"
 #include "ft/kernels/window/workspace.hpp"
 #include "ft/math/positive_definite.hpp"
@@ -29,7 +30,7 @@ struct window_point_scratch {
   double lane[sums][window_lanes][window_group];
   std::uint64_t mask[window_lanes][window_group];
   vec3<double> X[window_group];
-  double link[max_window_views];  ///< costs
+  double link[max_window_views];  ///< costs of views by links and centres
   ordered_sum_scratch<2, double> judge;
 
   FT_HOST_DEVICE double sum(int k, int q, int lanes) const {
@@ -167,7 +168,9 @@ FT_HOST_DEVICE void evaluate_points(Group g, window_point_scratch& s, Rig const&
                                     rigid<double> const* T_cw, int to, bool refuse_nan) {
   using real = window_real;
   for (int v = g.rank(); in.base == 0 && v < in.views; v += g.size()) {
-    s.link[v] = link_cost(in.problem, in.b, v, T_cw);
+    s.link[v] =
+        (real(link_cost(in.problem, in.b, v, T_cw)) + real(centre_cost(in.problem, in.b, v, T_cw)))
+            .value;
   }
   FT_NO_UNROLL
   for (int k = g.rank(); k < window_lanes * window_group; k += g.size()) {

@@ -271,6 +271,21 @@ struct link_terms {
     add_cross(6 * v + 3, 6 * v, q, -e.shift_weight);
   }
 
+  /// @param q of views v and u, which move, u <= v: an entry of a cost of centres
+  FT_HOST_DEVICE void add_stiffness(int v, int u, real q) const {
+    for (int k = 0; k < 3; ++k) {
+      if (u == v) {
+        add_diagonal(6 * v + 3 + k, q);
+      } else {
+        add(6 * v + 3 + k, 6 * u + 3 + k, q);
+      }
+    }
+  }
+  /// @param pull half the derivative of a cost by the centre of view v
+  FT_HOST_DEVICE void add_pull(int v, vec3<real> const& pull) const {
+    for (int k = 0; k < 3; ++k) { add_right(6 * v + 3 + k, component(pull, k)); }
+  }
+
 private:
   FT_HOST_DEVICE static real component(vec3<real> const& v, int k) {
     return k == 0 ? v.x : k == 1 ? v.y : v.z;

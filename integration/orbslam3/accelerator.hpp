@@ -4,6 +4,7 @@
 /// A template over the system's own types, compiled inside it; see docs/orbslam3.md.
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <memory>
 #include <mutex>
@@ -13,7 +14,7 @@
 #include <vector>
 
 #include "ft/core/error.hpp"
-#include "integration/orbslam3/feature_stages.hpp"
+#include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/inertial_poses.hpp"
 #include "integration/orbslam3/local_map.hpp"
@@ -31,24 +32,53 @@ namespace ft::orbslam3 {
 /// frame that the CPU extracted is sent at its first use.
 /// @tparam Types with `frame` and `map_point`: ORB_SLAM3::Frame, ORB_SLAM3::MapPoint
 template <typename Types>
-class accelerator : public feature_stages<Types> {
-  using base = feature_stages<Types>;
-  using base::device_;
-  using base::frames_;
-  using base::options_;
-  using base::settings_;
-  using base::statistics_;
-  using base::sums;
-
+class accelerator {
 public:
-  using typename base::frame_type;
+  using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
 
   /// @param device from make_cuda_tracker() or make_host_tracker(), made from the same settings
   accelerator(std::unique_ptr<device_tracker> device, settings const& s, options const& o = {})
-      : base(std::move(device), s, o), mirror_(*device_, o.detection, s.map_points) {
+      : device_(std::move(device)),
+        settings_(s),
+        options_(o),
+        mirror_(*device_, o.detection, s.map_points) {
     if (!reads_map(options_)) { mirror_.changes().close(); }
   }
+
+  /// Whether the accelerator computes a stage; otherwise ORB-SLAM3's own code is called.
+  bool uses(stage s) const { return options_[s] != stage_mode::host; }
+  options const& chosen() const { return options_; }
+
+  // ---- features
+
+  /// Wakes the threads that share the copy of the images, for an extract() within two milliseconds.
+  void expect_images() { device_->helpers().wake(std::chrono::milliseconds(2)); }
+
+  /// Extracts two images into a frame: keypoints, descriptors, counts and scale tables. Needs
+  /// frame.mnId.
+  /// @tparam Image with data, cols, rows, step: a CV_8UC1 cv::Mat
+  /// @throws frame_refused for an image of another size or type
+  template <typename Image>
+  void extract(Image const& left, Image const& right, frame_type& frame) {
+    detail::require(settings_.images == 2, "the settings are for one image");
+    extract_images(view_of(left), view_of(right), frame);
+  }
+  /// One image: monocular, RGB-D.
+  template <typename Image>
+  void extract(Image const& image, frame_type& frame) {
+    detail::require(settings_.images == 1, "the settings are for two images");
+    extract_images(view_of(image), {}, frame);
+  }
+  /// Whether the keypoints of two fisheye cameras are searched.
+  bool two_cameras() const { return frames_.two_cameras(); }
+  /// Whether the frame is the last one that extract() filled.
+  bool extracted(frame_type const& frame) const { return frames_.is_extracted(frame); }
+
+  /// Frame::ComputeStereoMatches of a rectified pair, ComputeStereoFishEyeMatches of two fisheye
+  /// cameras, for a frame that extract() has filled last.
+  /// @throws bad_argument for another frame
+  void compute_stereo(frame_type& frame) { frames_.take_stereo(frame); }
 
   // ---- tracking
 
@@ -56,7 +86,6 @@ public:
   /// the last frame's inliers in the current frame. Returns the number of matches.
   /// @throws bad_argument if the current frame holds map points: ORB-SLAM3 clears them first
   int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono) {
-    stage_timer const timer(sums(stage::search_last_frame));
     for (map_point const* const held : current.mvpMapPoints) {
       detail::require(held == nullptr, "the current frame holds map points before the search");
     }
@@ -79,12 +108,10 @@ public:
   /// IncreaseVisible() and stores the tracked values of those in view, then does
   /// ORBmatcher(0.8).SearchByProjection(frame, points, th, far_points, far_threshold). Returns the
   /// number of matches. If no point is in view, nothing is searched and the result is 0.
-  /// Allocates and waits if !has_room_for(points.size()).
+  /// Allocates for a local map that is larger than all before and than settings::local_points.
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points = false, float far_threshold = 50.0f) {
-    stage_timer const timer(sums(stage::search_local_map));
     device_->helpers().wake();
-    room_.follow(static_cast<int>(points.size()));
     map_call_end const end(mirror_);
     mirror_.begin_call();
     search_request request = request_of(frame, -1, th);
@@ -94,25 +121,18 @@ public:
     if (tested == 0) { return 0; }
     centres_of(frame, device_->cameras(), request.inputs.centres);
     request.max_distance = far_points ? far_threshold : 0.0f;
-    auto const seen = device_->search_local_map(request);
-    local_.write_sights(frame, points, seen);
+    int const seen = local_.write_sights(frame, points, device_->search_local_map(request));
     int const matches = device_->local_matches();
     // The original then searches nothing, not even the points that skip the frustum test.
-    if (seen.count == 0) { return 0; }
+    if (seen == 0) { return 0; }
     held_.write_matches(request.buffer, frame);
     return matches;
   }
 
-  /// Whether search_local_points() of so many points allocates nothing. When a local map uses more
-  /// than half of the memory, another thread doubles it. This is therefore false only for a local
-  /// map that has more than doubled at once, until that thread has finished.
-  bool has_room_for(std::size_t points) { return room_.follow(static_cast<int>(points)); }
-
   /// Optimizer::PoseOptimization(&frame): pose, mvbOutlier; returns the number of inliers.
   /// @param which stage this call is: pose_last_frame, pose_local_map (which options may bypass),
-  ///   pose_reference_keyframe or pose_relocalization
+  ///   pose_keyframe
   int pose_optimization(frame_type& frame, stage which) {
-    stage_timer const timer(sums(which));
     int held = 0;
     for (std::size_t i = 0; i < frame.mvpMapPoints.size(); ++i) {
       if (frame.mvpMapPoints[i] == nullptr) { continue; }
@@ -137,9 +157,8 @@ public:
   /// prior or an integral is not there, an integral has no steps, or a number is not finite.
   /// @param which pose_inertial_last_frame or pose_inertial_last_keyframe
   int inertial_pose_optimization(frame_type& frame, stage which) {
-    stage_timer const timer(sums(which));
     bool const from_last = which == stage::pose_inertial_last_frame;
-    if (!can_optimize_inertial(frame, which)) { return call_refused; }
+    if (!has_inertial_start(frame, from_last, settings_.reference_quirks)) { return call_refused; }
     inertial_request request = inertial_request_of(frame, from_last);
     map_call_end const end(mirror_);
     request.buffer = held_.bind(frame);
@@ -153,21 +172,13 @@ public:
     take_inertial_result(frame, from_last, result);
     return result.tracked;
   }
-  /// Whether the frame has what it would start from.
-  bool can_optimize_inertial(frame_type const& frame, stage which) const {
-    return has_inertial_start(frame, which == stage::pose_inertial_last_frame,
-                              settings_.reference_quirks);
-  }
 
   // ---- words
 
-  /// Reads the vocabulary of compute_bow(): DBoW2's text, or ft's binary form. Takes a second or so
-  /// for a text of a million nodes. Before other threads call.
-  /// @param expected what the vocabulary must say, see vocabulary_facts; nullptr: anything
-  /// @throws error if there is none that can be read, or another one
-  void load_vocabulary(std::string const& path, vocabulary_facts const* expected = nullptr) {
-    device_->load_vocabulary(path, expected);
-  }
+  /// Reads the vocabulary of compute_bow(), which must be the system's: DBoW2's text, or ft's
+  /// binary form. Takes a second or so for a text of a million nodes. Before other threads call.
+  /// @throws error if there is none that can be read
+  void load_vocabulary(std::string const& path) { device_->load_vocabulary(path); }
 
   /// Whether compute_bow() can be called: there are a vocabulary, and descriptors. From any thread.
   template <typename Frame>
@@ -181,7 +192,6 @@ public:
   void compute_bow(Frame& frame) {
     if (!frame.mBowVec.empty()) { return; }
     std::lock_guard<std::mutex> const lock(words_mutex_);
-    stage_timer const timer(sums(stage::transform));
     transform_frame(*device_, frame);
   }
 
@@ -193,7 +203,6 @@ public:
   template <typename KeyFrame>
   int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
                     float ratio, bool orientation_check = true) {
-    stage_timer const timer(sums(stage::search_by_bow));
     std::vector<map_point*> const points = keyframe.GetMapPointMatches();
     if (!put_word_search(*device_, keyframe, frame, points)) { return call_refused; }
     words_search_params params;
@@ -221,7 +230,6 @@ public:
   template <typename KeyFrame, typename Found>
   int search_keyframe(frame_type& frame, KeyFrame& keyframe, Found const& found, float th,
                       int max_distance) {
-    stage_timer const timer(sums(stage::search_keyframe));
     std::vector<map_point*> const points = keyframe.GetMapPointMatches();
     if (!can_search_keyframe(frames_, frame, keyframe, points.size())) { return call_refused; }
     map_call_end const end(mirror_);
@@ -259,9 +267,6 @@ public:
     mirror_.clear();
   }
 
-  // ---- inputs and outputs of frames
-
-  statistics const& times() const { return statistics_; }
   map_mirror<map_point> const& mirror() const { return mirror_; }
   map_mirror<map_point>& mirror() { return mirror_; }
 
@@ -285,11 +290,36 @@ private:
     return r;
   }
 
+  template <typename Image>
+  gray_view view_of(Image const& image) const {
+    if (image.cols != settings_.width || image.rows != settings_.height) {
+      throw frame_refused("ft: the image is " + std::to_string(image.cols) + "x" +
+                          std::to_string(image.rows) + ", the settings say " +
+                          std::to_string(settings_.width) + "x" + std::to_string(settings_.height));
+    }
+    if (image.data == nullptr || image.type() != grey_type) {
+      throw frame_refused("ft: the image's type is " + std::to_string(image.type()) +
+                          " instead of CV_8UC1 (0), or it has no data");
+    }
+    return {image.data, image.cols, image.rows,
+            static_cast<int>(static_cast<std::size_t>(image.step))};
+  }
+  void extract_images(gray_view const& left, gray_view const& right, frame_type& frame) {
+    int const b = frames_.begin_extraction();
+    device_->extract({b, left, right});
+    frames_.prepare(frame);
+    device_->wait_for_features();
+    frames_.took(b, frame);
+  }
+
+  std::unique_ptr<device_tracker> device_;
+  settings settings_;
+  options options_;
+  frame_exchange<frame_type> frames_{*device_, settings_};
   map_mirror<map_point> mirror_;
   held_points<Types> held_{*device_, mirror_, frames_};
   local_map<Types> local_{*device_, mirror_, settings_, options_.fills_projected_points};
-  local_room room_{*device_};
-  std::mutex words_mutex_;  ///< of transform_words() and its statistics
+  std::mutex words_mutex_;  ///< of transform_words()
 };
 
 }  // namespace ft::orbslam3

@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <type_traits>
 #include <vector>
 
 #include "ft/core/error.hpp"
@@ -34,16 +33,13 @@ struct stored_keypoints {
   frame_arrays host;
 };
 
-/// Copies extracted keypoints into a frame and to host memory. Those of a single image are
-/// undistorted on the way, and the host gets their extracted positions as well.
-template <bool Single>
+/// Copies extracted keypoints into a frame and to host memory.
 struct store_keypoint {
   using scratch = no_scratch;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group, scratch&, int item, keypoints_view const& from,
-                                 int const* mono_from, stored_keypoints const& out,
-                                 undistortion const& undistorted) const {
+                                 int const* mono_from, stored_keypoints const& out) const {
     keypoints_view const& to = out.device;
     frame_arrays const& host = out.host;
     int const image = item / from.capacity;
@@ -55,14 +51,8 @@ struct store_keypoint {
     }
     if (i >= count) { return; }
     int const at = image * to.capacity + i;
-    vec2<float> position{from.x(item), from.y(item)};
-    if constexpr (Single) {
-      host.raw_x[at] = position.x;
-      host.raw_y[at] = position.y;
-      position = undistorted(position);
-    }
-    host.x[at] = to.x(at) = position.x;
-    host.y[at] = to.y(at) = position.y;
+    host.x[at] = to.x(at) = from.x(item);
+    host.y[at] = to.y(at) = from.y(item);
     host.angle[at] = to.angle(at) = from.angle(item);
     host.response[at] = to.response(at) = from.response(item);
     host.octave[at] = to.octave(at) = from.octave(item);
@@ -116,16 +106,16 @@ public:
 
   /// Records the launches of extract() for each of `frames`, which must not move.
   void record(Exec const& exec, device_frames<Exec, Rig>& frames) {
-    record_features(exec, frames);
-    for (int b = 0; pair() && b < buffers; ++b) {
-      stereo_recordings_[b].record(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
+    for (int b = 0; b < buffers; ++b) {
+      feature_recordings_[b].record(exec, [&](Exec const& e) { queue_features(e, frames, b); });
+      if (!pair()) { continue; }
+      stereo_recordings_[b].record(exec, [&](Exec const& e) { queue_stereo(e, frames, b); });
     }
   }
 
   /// Enqueues all stages.
   void extract(Exec const& exec, device_frames<Exec, Rig>& frames, extraction_request const& r) {
     int const b = r.buffer;
-    if (follow(r.lens)) { record_features(exec, frames); }
     stage(0, r.left);
     if (pair()) {
       image_pyramid_view first = extractor_.pyramid();
@@ -136,43 +126,25 @@ public:
     feature_recordings_[b].replay(exec, [&](Exec const& e) { queue_features(e, frames, b); });
     features_there_.set(exec);
     if (pair()) {
-      stereo_recordings_[b].replay(exec, [&](Exec const& e) { queue_stereo(e, frames, b, true); });
+      stereo_recordings_[b].replay(exec, [&](Exec const& e) { queue_stereo(e, frames, b); });
     }
-    make_grid(exec, frames, r);
+    frames.has_grid(b, image_bounds());
   }
   /// Waits for the keypoints of extract(); stereo matches may still be in flight.
   void wait_for_features() const { features_there_.wait(); }
 
-  /// Enqueues the pyramids of two images.
-  void build_pyramids(Exec const& exec, gray_view const& left, gray_view const& right) {
-    stage(0, left);
-    if (pair()) { stage(1, right); }
-    receive_images(exec, all_sources_, extractor_.pyramid());
-    extractor_.build_pyramids(exec);
-  }
-  /// Enqueues the download of a level.
-  void download_level(Exec const& exec, int image, int level, unsigned char* to,
-                      std::size_t stride) {
-    detail::require_range("image", image, 0, settings_.images - 1);
-    detail::require_range("pyramid level", level, 0, settings_.levels - 1);
-    auto const from = extractor_.pyramid().level(image, level);
-    copy_rows(exec, {to, stride}, {from.data, static_cast<std::size_t>(from.stride)},
-              static_cast<std::size_t>(from.width), from.height);
-  }
+private:
   /// Enqueues the stereo matching of a frame's keypoints from the pyramids, and the download of the
   /// matches.
-  /// @param sorted the extraction has sorted the right keypoints by rows
-  void queue_stereo(Exec const& exec, device_frames<Exec, Rig>& frames, int b, bool sorted) {
+  void queue_stereo(Exec const& exec, device_frames<Exec, Rig>& frames, int b) {
     device_frame& f = frames[b];
     frame_arrays const& a = frames.arrays(b);
     word_mover<Exec> down;
     if constexpr (Rig::rectified) {
-      if (!sorted) { sort_right_rows(exec, f.keypoints, right_rows_); }
       match_sorted_rows(exec, extractor_.pyramid(), f.keypoints, stereo_, f.matches, right_rows_);
       down.add(exec, a.right_x, array_of<field::right_x>(f.matches), capacity());
       down.add(exec, a.depth, array_of<field::depth>(f.matches), capacity());
     } else {
-      static_cast<void>(sorted);
       match_stereo_fisheye(exec, fisheye_stereo<Rig>{rig_, extractor_.geometry(), f.mono, {}},
                            f.keypoints, f.fisheye);
       down.add(exec, a.partner, f.fisheye.partner, 2 * capacity());
@@ -182,7 +154,6 @@ public:
     down.flush(exec);
   }
 
-private:
   static constexpr int rows_at_a_time = 32;
 
   bounds image_bounds() const {
@@ -222,57 +193,20 @@ private:
     });
   }
 
-  /// Takes over the distortion of a request. @return whether it is another one
-  bool follow(lens_distortion const& lens) {
-    if (lens == lens_) { return false; }
-    detail::require(!pair(), "the keypoints of a pair are not undistorted");
-    lens_ = lens;
-    return true;
-  }
-  void record_features(Exec const& exec, device_frames<Exec, Rig>& frames) {
-    for (int b = 0; b < buffers; ++b) {
-      feature_recordings_[b].record(exec, [&](Exec const& e) { queue_features(e, frames, b); });
-    }
-  }
-  /// Copies keypoints into the frame and to the host. For a pair, whose keypoints are searched at
-  /// their extracted positions, builds the grid, too.
+  /// Copies keypoints into the frame and to the host, and builds the grid of their positions.
   void queue_features(Exec const& exec, device_frames<Exec, Rig>& frames, int b) {
     device_frame& f = frames[b];
-    if (pair()) {
-      feature_grid_view grids = f.grids;
-      grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
-      keypoint_grids<Rig::rectified> const all_grids{grids, right_rows_};
-      extractor_.extract_from(exec, sources_, all_grids);
-    } else {
-      extractor_.extract_from(exec, sources_);
-    }
-    auto const store = [&](auto single) {
-      for_each_item<per_thread>(
-          exec, settings_.images * extractor_.capacity(), store_keypoint<decltype(single)::value>{},
-          extractor_.keypoints(), extractor_.mono_count(),
-          stored_keypoints{f.keypoints, f.mono, frames.arrays(b)}, undistortion(lens_));
-    };
-    if (pair()) {
-      store(std::false_type{});
-    } else {
-      store(std::true_type{});
-    }
-  }
-  /// That of a pair is there already; that of a single image follows the keypoints, which the host
-  /// does not wait for.
-  void make_grid(Exec const& exec, device_frames<Exec, Rig>& frames, extraction_request const& r) {
-    if (pair()) {
-      frames.has_grid(r.buffer, image_bounds());
-      return;
-    }
-    frames[r.buffer].grid_made = false;
-    if (r.searched.have_area()) { frames.make_grid(exec, r.buffer, r.searched); }
+    feature_grid_view grids = f.grids;
+    grids.geometry = device_frames<Exec, Rig>::cells(image_bounds());
+    extractor_.extract_from(exec, sources_, keypoint_grids<Rig::rectified>{grids, right_rows_});
+    for_each_item<per_thread>(exec, settings_.images * extractor_.capacity(), store_keypoint{},
+                              extractor_.keypoints(), extractor_.mono_count(),
+                              stored_keypoints{f.keypoints, f.mono, frames.arrays(b)});
   }
 
   settings settings_;
   helper_threads& helpers_;
   Rig rig_;
-  lens_distortion lens_;  ///< that the recordings have
   orb_extractor<Exec> extractor_;
   stereo_params stereo_;
   feature_grid_view right_rows_;

@@ -141,7 +141,7 @@ private:
     a.capacity = capacity;
     c.place(2, a.count, a.mono);
     c.place({2, capacity}, a.x, a.y, a.angle, a.response, a.octave, a.partner, a.holder);
-    c.place(capacity, a.raw_x, a.raw_y, a.right_x, a.depth, a.point);
+    c.place(capacity, a.right_x, a.depth, a.point);
     c.place({2, capacity, 8}, a.descriptor);
   }
 

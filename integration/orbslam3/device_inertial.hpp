@@ -2,7 +2,6 @@
 /// @file Poses with an IMU over an executor's frames and map: their memory and their launches.
 #pragma once
 
-#include <cstddef>
 #include <cstring>
 
 #include "ft/containers/frame.hpp"

@@ -1,14 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Map points in executor memory, by slot, and memory for the search of a local map. Both
-/// grow while other threads track.
+/// @file Map points in executor memory, by slot, and memory for the search of a local map.
 #pragma once
 
 #include <algorithm>
-#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <mutex>
 #include <utility>
 
 #include "ft/containers/map_points.hpp"
@@ -21,42 +18,6 @@
 
 namespace ft::orbslam3 {
 inline namespace FT_ABI {
-
-/// Memory in use, and larger memory that another thread may allocate.
-/// @tparam Blocks with `capacity`, 0 by default
-template <typename Blocks>
-class growing_memory {
-public:
-  Blocks* operator->() { return &used_; }
-  Blocks const* operator->() const { return &used_; }
-
-  /// Capacity for which grow() finds memory. From any thread.
-  int room() const { return room_; }
-  /// Takes what make(capacity) allocates, unless there is room. From any thread.
-  template <typename Make>
-  void prepare(int capacity, Make const& make) {
-    if (capacity <= room_) { return; }
-    Blocks made = make(capacity);
-    std::lock_guard<std::mutex> const lock(mutex_);
-    retired_ = {};
-    if (capacity <= room_) { return; }
-    next_ = std::move(made);
-    room_ = capacity;
-  }
-  /// Uses what was prepared. @return the old memory, which stays until the next prepare() or grow()
-  Blocks const& grow() {
-    std::lock_guard<std::mutex> const lock(mutex_);
-    retired_ = std::exchange(used_, std::exchange(next_, Blocks{}));
-    return retired_;
-  }
-
-private:
-  Blocks used_;  ///< by the thread that calls grow()
-  std::mutex mutex_;
-  Blocks next_;
-  Blocks retired_;
-  std::atomic<int> room_{0};
-};
 
 /// Writes one record of a map change.
 struct apply_map_change {
@@ -101,36 +62,32 @@ private:
 template <typename Exec>
 class device_map {
 public:
-  map_points_view const& view() const { return memory_->map; }
+  map_points_view const& view() const { return used_.map; }
 
-  /// Allocates the memory for `slots` points that the next reserve() will use. From any thread.
-  void prepare(int slots) {
-    detail::require_range("map points", slots, 1, 1 << 26);
-    memory_.prepare(slots, [](int n) { return blocks(n); });
-  }
-  /// Makes room for `slots` points and keeps the current ones. Enqueues their copy. Returns whether
+  /// Makes room for `slots` points and keeps the current ones: allocates, waits. Returns whether
   /// view() has changed.
   bool reserve(Exec const& exec, int slots) {
-    if (slots <= memory_->capacity) { return false; }
-    prepare(slots);
-    blocks const& old = memory_.grow();
-    if (old.capacity > 0) {
-      map_points_view first = view();
-      first.capacity = old.capacity;
-      copy(exec, first, old.map);
+    if (slots <= used_.capacity) { return false; }
+    detail::require_range("map points", slots, 1, 1 << 26);
+    blocks larger(slots);
+    if (used_.capacity > 0) {
+      map_points_view first = larger.map;
+      first.capacity = used_.capacity;
+      copy(exec, first, used_.map);
     }
+    exec.wait();
+    used_ = std::move(larger);
     return true;
   }
 
   /// Enqueues a change. Two changes need an exec.wait() in between.
   void change(Exec const& exec, map_change const& change, std::uint32_t const* words) {
     std::size_t const n = change.words();
-    detail::require(n <= memory_->staged.size(),
-                    "a change has one record a field and slot at most");
-    std::memcpy(memory_->staged.data(), words, n * sizeof *words);
-    std::uint32_t const* const staged = memory_->staged.data();
-    copy(exec, memory_->words.data(), staged, n);
-    std::uint32_t const* const there = memory_->words.data();
+    detail::require(n <= used_.staged.size(), "a change has one record a field and slot at most");
+    std::memcpy(used_.staged.data(), words, n * sizeof *words);
+    std::uint32_t const* const staged = used_.staged.data();
+    copy(exec, used_.words.data(), staged, n);
+    std::uint32_t const* const there = used_.words.data();
     for_each_item<per_thread>(exec, change.records(), apply_map_change{}, change, there, view());
   }
 
@@ -149,7 +106,7 @@ private:
     buffer<std::uint32_t, staging_space<Exec>> staged;
     buffer<std::uint32_t, Exec::space> words;
   };
-  growing_memory<blocks> memory_;
+  blocks used_;
 };
 
 /// Memory of one size.
@@ -159,10 +116,8 @@ struct local_blocks {
   search_buffers buffers;
   int* slots = nullptr;
   visibility* seen = nullptr;
-  int* listed = nullptr;  ///< points in view
   recorded_sight* recorded = nullptr;
   int* staged_slots = nullptr;
-  int* staged_index = nullptr;
   visibility* staged_sights = nullptr;
   recorded_sight* staged_recorded = nullptr;
 
@@ -171,13 +126,13 @@ struct local_blocks {
   local_blocks(int points, int windows, int keypoints, int cameras) : capacity(points) {
     int const room = std::max(points, windows);
     memory = arena<Exec::space>([&](carver& c) {
-      c.place(points, slots, listed);
+      c.place(points, slots);
       c.place({cameras, points}, seen, recorded);
       carve(c, buffers.windows, room, 1, cameras);
       carve(c, buffers.work, room, keypoints, 1, cameras);
     });
     staging = arena<staging_space<Exec>>([&](carver& c) {
-      c.place(points, staged_slots, staged_index);
+      c.place(points, staged_slots);
       c.place({cameras, points}, staged_sights, staged_recorded);
     });
     std::fill_n(staged_slots, points, no_slot_yet);
@@ -190,26 +145,23 @@ struct local_blocks {
 
 /// That of a local map.
 template <typename Exec>
-class local_memory : public growing_memory<local_blocks<Exec>> {
+class local_memory {
 public:
   /// @param keypoints per image
   local_memory(int keypoints, int cameras) : keypoints_(keypoints), cameras_(cameras) {}
 
-  /// Allocates memory for `points`. From any thread.
-  void prepare(int points) {
-    growing_memory<local_blocks<Exec>>::prepare(size_of(points), [&](int n) {
-      return local_blocks<Exec>(n, cameras_ * keypoints_, keypoints_, cameras_);
-    });
-  }
-  /// Makes room for `points`. Waits if less is in use, and allocates unless prepared.
+  local_blocks<Exec>* operator->() { return &used_; }
+  local_blocks<Exec> const* operator->() const { return &used_; }
+
+  /// Makes room for `points`. Waits and allocates if there is less.
   /// @return whether the memory has moved
   bool reserve(Exec const& exec, int points) {
-    if (points <= (*this)->capacity) { return false; }
-    prepare(points);
+    if (points <= used_.capacity) { return false; }
     exec.wait();
-    this->grow();
+    used_ = {};
+    used_ = {size_of(points), cameras_ * keypoints_, keypoints_, cameras_};
     // Candidates are prefetched before their count is known.
-    auto const& work = (*this)->buffers.work;
+    auto const& work = used_.buffers.work;
     fill_bytes(exec, work.list, 0xff, work.list_bytes());
     return true;
   }
@@ -223,6 +175,7 @@ public:
   }
 
 private:
+  local_blocks<Exec> used_;
   int keypoints_;
   int cameras_;
 };

@@ -4,7 +4,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdint>
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/map_points.hpp"
@@ -60,58 +59,6 @@ struct leave_out_far_point {
   }
 };
 
-/// Inputs of list_points_in_view in executor memory, and its outputs.
-struct in_view_listing {
-  visibility const* seen;  ///< [cameras][capacity]
-  int cameras;
-  int capacity;
-  int const* points;  ///< of the local map
-  int* listed;        ///< [capacity] executor memory
-  int* count;         ///< host memory, like the following
-  int* index;         ///< [stride]
-  visibility* to;     ///< [cameras][stride]
-  int stride;
-};
-
-/// Writes the points in view to host memory, in the order of the local map. Written in order of
-/// words, because scattered writes of threads cross the bus in pieces.
-struct list_points_in_view {
-  using scratch = no_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch&, int, in_view_listing const& v) const {
-    int const n = *v.points;
-    int so_far = 0;
-    for (int base = 0; base < n; base += g.size()) {
-      int const i = base + g.rank();
-      bool in_view = false;
-      for (int c = 0; c < v.cameras && i < n; ++c) {
-        in_view = in_view || v.seen[c * v.capacity + i].level >= 0;
-      }
-      int total = 0;
-      int const at = so_far + g.exclusive_scan(static_cast<int>(in_view), total);
-      if (in_view) { v.listed[at] = i; }
-      so_far += total;
-    }
-    g.sync();
-    if (g.rank() == 0) { *v.count = so_far; }
-    for (int k = g.rank(); k < so_far; k += g.size()) { v.index[k] = v.listed[k]; }
-    for (int c = 0; c < v.cameras; ++c) {
-      visibility const* const from = v.seen + c * v.capacity;
-      visibility* const to = v.to + c * v.stride;
-      if constexpr (Group::max_threads == 1) {
-        for (int k = 0; k < so_far; ++k) { to[k] = from[v.listed[k]]; }
-      } else {
-        constexpr int words = sizeof(visibility) / 4;
-        auto* const out = reinterpret_cast<std::uint32_t*>(to);
-        for (int w = g.rank(); w < so_far * words; w += g.size()) {
-          out[w] = reinterpret_cast<std::uint32_t const*>(from + v.listed[w / words])[w % words];
-        }
-      }
-    }
-  }
-};
-
 /// @tparam Rig rectified_rig or fisheye_rig
 template <typename Exec, typename Rig>
 class device_searches {
@@ -136,16 +83,15 @@ public:
       c.place(1, inputs_, optimized_, rounded_);
     });
     host_memory_ = arena<staging>([&](carver& c) {
-      c.place(1, staged_, staged_optimized_, in_view_);
+      c.place(1, staged_, staged_optimized_);
       c.place(2, found_);
     });
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
     local_.reserve(exec, s.local_points);
   }
 
-  /// Memory for local maps. prepare() and room() from any thread.
+  /// Memory for local maps.
   local_memory<Exec>& local() { return local_; }
-  local_memory<Exec> const& local() const { return local_; }
   /// As of device_tracker.
   recorded_sight* recorded_sights(int count) {
     detail::require_range("recorded sights", count, 0, searched * local_->capacity);
@@ -202,7 +148,7 @@ public:
     ft::search_keyframe(exec, search, c.frame, c.map, local_->buffers);
   }
 
-  /// Enqueues the frustum test, the candidates, and the download of the points in view.
+  /// Enqueues the frustum test, the candidates, and the download of how the points are seen.
   void queue_local_lists(Exec const& exec, context const& c, search_request const& r) {
     local_->buffers.windows.capacity = local_.size_of(r.inputs.slots);
     if (r.recorded == 0 && !by_both(r)) {
@@ -210,11 +156,10 @@ public:
     } else {
       find_visible_points(exec, search_of(r, c.geometry), c.map, local_->buffers.windows);
     }
-    for_each_item<per_block<1024>>(
-        exec, 1, list_points_in_view{},
-        in_view_listing{local_->seen, searched, local_->buffers.windows.capacity, &inputs_->slots,
-                        local_->listed, in_view_, local_->staged_index, local_->staged_sights,
-                        local_->capacity});
+    word_mover<Exec> down;
+    down.add(exec, local_->staged_sights, local_->seen,
+             searched * local_->buffers.windows.capacity);
+    down.flush(exec);
   }
   /// Enqueues the rest of the search.
   void queue_local_choice(Exec const& exec, context const& c, search_request const& r) {
@@ -260,9 +205,9 @@ public:
   }
   int matches() const { return found_[0]; }
   pose_result optimized() const { return {*staged_optimized_, found_[1]}; }
-  points_in_view in_view() const {
-    visibility const* const sights = local_->staged_sights;
-    return {*in_view_, local_->staged_index, {sights, sights + local_->capacity}};
+  local_sights sights(int points) const {
+    visibility const* const seen = local_->staged_sights;
+    return {{seen, seen + (searched - 1) * local_.size_of(points)}};
   }
 
 private:
@@ -299,7 +244,6 @@ private:
   search_inputs* staged_ = nullptr;
   rigid<double>* staged_optimized_ = nullptr;
   int* found_ = nullptr;  ///< matches, inliers
-  int* in_view_ = nullptr;
   arena<space> memory_;
   arena<staging> host_memory_;
   local_memory<Exec> local_;  ///< its buffers also serve the other searches

@@ -21,7 +21,6 @@
 #include "ft/kernels/words/transform.hpp"
 #include "integration/orbslam3/executor_calls.hpp"
 #include "integration/orbslam3/plain_types.hpp"
-#include "integration/orbslam3/vocabulary_facts.hpp"
 
 namespace ft::orbslam3 {
 inline namespace FT_ABI {
@@ -52,11 +51,10 @@ public:
     this->allocate(layout, host_layout);
   }
 
-  /// For set-up: allocates. @throws as read_vocabulary() and require_same()
-  void load(std::string const& path, vocabulary_facts const* expected) {
+  /// For set-up: allocates. @throws as read_vocabulary()
+  void load(std::string const& path) {
     auto const read = read_vocabulary(path);
-    if (expected != nullptr) { require_same(path, facts_of(read.view()), *expected); }
-    device_.enter();
+    this->enter();
     vocabulary_ = upload(exec(), read.view());
   }
   bool loaded() const { return vocabulary_.view().nodes > 0; }
@@ -65,7 +63,7 @@ public:
   word_lists transform(descriptor_rows const& rows) {
     detail::require_range("number of descriptors", rows.count, 0, capacity_);
     if (rows.count == 0) { return {}; }
-    device_.enter();
+    this->enter();
     for (int i = 0; i < rows.count; ++i) {
       std::memcpy(static_cast<void*>(staged_orb_ + i),
                   rows.data + static_cast<std::size_t>(i) * rows.step, sizeof(descriptor));
@@ -98,7 +96,6 @@ private:
     down.add(exec(), keypoint_, out_.groups.keypoint, n);
   }
 
-  thread_device<Exec> device_;
   int capacity_;
   transform_params params_;
   vocabulary<Exec::space> vocabulary_;

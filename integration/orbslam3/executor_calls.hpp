@@ -84,20 +84,14 @@ private:
   word_segments all_;
 };
 
-/// The device of the thread that constructed the object, for other threads.
-template <typename Exec>
-class thread_device {
-public:
-  void enter() const {}
-};
-
-/// An executor for another thread than that of `beside`: on a device with a stream of its own. On
-/// the host both share the thread pool. The destructor waits.
+/// An executor of its own for calls from any thread: on a device a stream. On the host all share
+/// the thread pool of `beside`.
 template <typename Exec>
 class own_stream {
 public:
   explicit own_stream(Exec const& beside) : exec_(beside) {}
   Exec const& exec() const { return exec_; }
+  void enter() const {}
 
 private:
   Exec exec_;
@@ -105,33 +99,19 @@ private:
 
 #if defined(__CUDACC__)
 template <>
-class thread_device<cuda_exec> {
-public:
-  thread_device() { throw_on_error(cudaGetDevice(&device_), "cudaGetDevice"); }
-  /// Makes this the current device of the calling thread.
-  void enter() const { throw_on_error(cudaSetDevice(device_), "cudaSetDevice"); }
-
-private:
-  int device_ = 0;
-};
-
-template <>
 class own_stream<cuda_exec> {
 public:
-  explicit own_stream(cuda_exec const& /*beside*/) : exec_(stream_.get()) {}
-  own_stream(own_stream const&) = delete;
-  own_stream& operator=(own_stream const&) = delete;
-  ~own_stream() {
-    try {
-      exec_.wait();
-    } catch (error const&) {  // the device is lost, and so is the work on it
-    }
+  explicit own_stream(cuda_exec const& /*beside*/) : exec_(stream_.get()) {
+    throw_on_error(cudaGetDevice(&device_), "cudaGetDevice");
   }
   cuda_exec const& exec() const { return exec_; }
+  /// Makes the device of the constructing thread the current one of this thread.
+  void enter() const { throw_on_error(cudaSetDevice(device_), "cudaSetDevice"); }
 
 private:
   stream stream_;
   cuda_exec exec_;
+  int device_ = 0;
 };
 #endif
 
@@ -186,6 +166,7 @@ protected:
   explicit own_calls(Exec const& beside) : stream_(beside) {}
 
   Exec const& exec() const { return stream_.exec(); }
+  void enter() const { stream_.enter(); }
   /// Allocates zeros in executor memory and in staging memory. Waits.
   template <typename Layout, typename HostLayout>
   void allocate(Layout const& layout, HostLayout const& host_layout) {

@@ -4,7 +4,6 @@
 /// Compiled by nvcc for CUDA, else by the host compiler; includes nothing of ORB-SLAM3.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -70,7 +69,6 @@ public:
     settle();
     extraction_.extract(exec_, frames_, request);
     in_flight_ = true;
-    stereo_of_ = extraction_.pair() ? request.buffer : -1;
   }
 
   void wait_for_features() override {
@@ -78,38 +76,8 @@ public:
     in_flight_ = extraction_.pair();
   }
 
-  void build_pyramids(gray_view const& left, gray_view const& right) override {
-    wait();
-    extraction_.build_pyramids(exec_, left, right);
-    wait();
-  }
+  void send(int buffer, frame_part part) override { frames_.send(exec_, up_, buffer, part); }
 
-  void match_stereo(int buffer) override {
-    detail::require(settings_.images == 2, "stereo needs settings with two images");
-    if (stereo_of_ == buffer) {  // enqueued by the extraction
-      settle();
-      stereo_of_ = -1;
-      return;
-    }
-    begin();
-    extraction_.queue_stereo(exec_, frames_, buffer, false);
-    wait();
-  }
-
-  void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
-    extraction_.download_level(exec_, image, level, to, stride);
-    wait();
-  }
-
-  void send(int buffer, frame_part part) override {
-    if (part == frame_part::keypoints && stereo_of_ == buffer) { stereo_of_ = -1; }
-    frames_.send(exec_, up_, buffer, part);
-  }
-
-  void prepare_map(int slots) override {
-    device_.enter();
-    map_.prepare(slots);
-  }
   void reserve_map(int slots) override {
     if (change_queued_) { wait(); }
     settle();
@@ -123,11 +91,6 @@ public:
     change_queued_ = true;
   }
 
-  int local_room() const override { return searches_.local().room(); }
-  void prepare_local(int points) override {
-    device_.enter();
-    searches_.local().prepare(points);
-  }
   int* local_slots(int points) override {
     if (searches_.local().reserve(exec_, points)) { graphs_.clear(); }
     return searches_.local()->staged_slots;
@@ -151,7 +114,7 @@ public:
     return searches_.matches();
   }
 
-  points_in_view search_local_map(search_request const& r) override {
+  local_sights search_local_map(search_request const& r) override {
     searches_.set_local_map(exec_, up_, r);
     begin();
     frames_.make_grid(exec_, r.buffer, r.image);
@@ -178,7 +141,7 @@ public:
     }
     sights_there_.wait();
     in_flight_ = true;
-    return searches_.in_view();
+    return searches_.sights(r.inputs.slots);
   }
   int local_matches() override {
     wait();
@@ -227,9 +190,7 @@ public:
     return inertial_.result();
   }
 
-  void load_vocabulary(std::string const& path, vocabulary_facts const* expected) override {
-    bags_.load(path, expected);
-  }
+  void load_vocabulary(std::string const& path) override { bags_.load(path); }
   bool has_vocabulary() const override { return bags_.loaded(); }
   word_lists transform_words(descriptor_rows const& rows) override { return bags_.transform(rows); }
   word_arrays& words_of(word_side side) override { return word_search_.arrays(side); }
@@ -257,7 +218,6 @@ private:
   own_stream<Exec> stream_;
   Exec exec_;
   word_mover<Exec> up_;
-  thread_device<Exec> device_;
   settings settings_;
   helper_threads helpers_;
   device_extraction<Exec, Rig> extraction_;
@@ -271,7 +231,6 @@ private:
   work_mark<Exec> sights_there_;
   bool in_flight_ = false;  ///< the last call left work that it did not wait for
   bool change_queued_ = false;
-  int stereo_of_ = -1;  ///< buffer whose stereo matches the extraction has enqueued
 };
 
 /// The tracker for the kind of cameras in the settings; on a device with a stream of its own.

@@ -13,7 +13,6 @@
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/error.hpp"
-#include "ft/core/views.hpp"
 #include "integration/orbslam3/frame_fields.hpp"
 #include "integration/orbslam3/helper_threads.hpp"
 #include "integration/orbslam3/plain_types.hpp"
@@ -68,24 +67,11 @@ public:
     }
   }
 
-  /// The request for the next extraction. The buffer that it fills holds no frame until took().
-  /// @param undistort whether the device undistorts the keypoints of a single image
-  extraction_request begin_extraction(Frame const& frame, gray_view const& left,
-                                      gray_view const& right, bool undistort) {
-    extraction_request r;
-    r.buffer = 1 - newest_;
-    r.left = left;
-    r.right = right;
-    resident& in = resident_[r.buffer];
-    in = {};
-    in.undistorted = read_distortion(frame, r.lens);
-    if (r.lens.any() && (settings_.images == 2 || !undistort)) {
-      r.lens = {};
-      in.undistorted = false;
-    }
-    // Of the first frame, the constructor sets the bounds later.
-    r.searched = bounds_of(frame);
-    return r;
+  /// The buffer that the next extraction fills. It holds no frame until took().
+  int begin_extraction() {
+    int const b = 1 - newest_;
+    resident_[b] = {};
+    return b;
   }
   /// Fills what does not depend on the images, and takes the frame's memory for as many keypoints
   /// as the last extraction found and a few more: done while the device extracts.
@@ -99,8 +85,6 @@ public:
       keypoints.resize(room);
       descriptors.create(static_cast<int>(room), 32, grey_type);
     }
-    frame.mvKeysUn.resize(frame.mvKeys.size());
-    frame.mvKeysUn.clear();  // keeps the memory
   }
   /// Fills the frame from the extraction in buffer `b`.
   void took(int b, Frame& frame) {
@@ -157,32 +141,20 @@ public:
     int const b = find(frame);
     return b >= 0 && b == newest_ && resident_[b].extracted;
   }
-  int extracted(Frame const& frame) const {
-    int const b = find(frame);
-    detail::require(is_extracted(frame),
-                    "the frame is not the one that was extracted last: give the pyramids");
-    return b;
-  }
-
-  /// Whether the frame was extracted here, and the device knows its undistorted positions.
-  bool is_undistorted(Frame const& frame) const {
-    return is_extracted(frame) && resident_[newest_].undistorted;
-  }
-  void fill_undistorted(Frame& frame) const {
-    frame_arrays const& a = device_->frame(extracted(frame));
-    frame.mvKeysUn = frame.mvKeys;
-    if (settings_.images == 2) { return; }
-    for (std::size_t i = 0; i < frame.mvKeysUn.size(); ++i) {
-      frame.mvKeysUn[i].pt.x = a.x[i];
-      frame.mvKeysUn[i].pt.y = a.y[i];
-    }
+  /// Waits for the stereo matches that the last extraction has enqueued, and fills them in.
+  void take_stereo(Frame& frame) {
+    detail::require(is_extracted(frame), "the frame is not the one that was extracted last");
+    detail::require(settings_.images == 2, "stereo needs settings with two images");
+    device_->settle();
+    resident_[newest_].settled = true;
+    two_cameras() ? fill_fisheye_stereo(frame) : fill_stereo(frame);
   }
 
   /// The buffer with all of a frame. @param keep a buffer that must not be reused, -1 = none
   int bind(Frame const& frame, int keep) {
     require_keys(frame);
     int b = find(frame);
-    if (b < 0 || !resident_[b].full) { b = load(frame, keys(frame, 0), two_cameras(), keep); }
+    if (b < 0 || !resident_[b].full) { b = load(frame, keep); }
     if (!resident_[b].checked) { check(b, frame); }
     return b;
   }
@@ -211,21 +183,32 @@ public:
     return b;
   }
 
+  void clear() {
+    for (auto& r : resident_) { r = {}; }
+  }
+
+private:
+  struct resident {
+    bool there = false;
+    unsigned long id = 0;
+    bool extracted = false;  ///< by extract()
+    bool settled = false;    ///< nothing of the extraction is in flight
+    bool full = false;       ///< positions and descriptors, not only the parts of a last frame
+    bool checked = false;    ///< positions and stereo are equal to the frame's
+  };
+
   /// Sends a frame that was not extracted here.
-  /// @param left keypoints of the left image: as extracted for stereo, undistorted for the searches
-  /// @param right keypoints of the right image
-  template <typename Keypoints>
-  int load(Frame const& frame, Keypoints const& left, bool right, int keep) {
+  int load(Frame const& frame, int keep) {
     int const there = find(frame);
     int const b = there >= 0 ? there : keep >= 0 ? 1 - keep : 1 - newest_;
     resident_[b] = {};
     frame_arrays const& a = device_->frame(b);
+    auto const& left = keys(frame, 0);
     put_keypoints(a, 0, left, frame.mDescriptors, 0);
-    if (right) {
+    if (two_cameras()) {
       // The constructor of Frame puts both into one matrix after stereo.
       int const n = static_cast<int>(left.size());
-      bool const joined = two_cameras() &&
-                          frame.mDescriptors.rows == n + static_cast<int>(frame.mvKeysRight.size());
+      bool const joined = frame.mDescriptors.rows == n + static_cast<int>(frame.mvKeysRight.size());
       put_keypoints(a, 1, frame.mvKeysRight, joined ? frame.mDescriptors : frame.mDescriptorsRight,
                     joined ? n : 0);
     } else {
@@ -240,19 +223,14 @@ public:
     newest_ = b;
     return b;
   }
-  bool has_stereo(int b) const { return resident_[b].stereo; }
-  void set_stereo(int b) { resident_[b].stereo = true; }
-  void clear() {
-    for (auto& r : resident_) { r = {}; }
-  }
 
-  void fill_stereo(int b, Frame& frame) const {
-    frame_arrays const& a = device_->frame(b);
+  void fill_stereo(Frame& frame) const {
+    frame_arrays const& a = device_->frame(newest_);
     frame.mvuRight.assign(a.right_x, a.right_x + a.count[0]);
     frame.mvDepth.assign(a.depth, a.depth + a.count[0]);
   }
-  void fill_fisheye_stereo(int b, Frame& frame) const {
-    frame_arrays const& a = device_->frame(b);
+  void fill_fisheye_stereo(Frame& frame) const {
+    frame_arrays const& a = device_->frame(newest_);
     auto const left = static_cast<std::size_t>(a.count[0]);
     frame.mvLeftToRightMatch.resize(left);
     frame.mvStereo3Dpoints.resize(left);
@@ -269,29 +247,16 @@ public:
     frame.mvRightToLeftMatch.assign(a.partner + a.capacity, a.partner + a.capacity + a.count[1]);
   }
 
-private:
-  struct resident {
-    bool there = false;
-    unsigned long id = 0;
-    bool extracted = false;    ///< by extract()
-    bool undistorted = false;  ///< the positions on the device, which are not the frame's otherwise
-    bool stereo = false;       ///< computed on the device
-    bool full = false;         ///< positions and descriptors, not only the parts of a last frame
-    bool checked = false;      ///< positions and stereo are equal to the frame's
-  };
-
   template <typename Keypoint>
   void fill_keypoints(frame_arrays const& a, int image, std::vector<Keypoint>& keypoints) const {
     int const n = a.count[image];
     int const first = image * a.capacity;
-    float const* const x = settings_.images == 1 ? a.raw_x : a.x;
-    float const* const y = settings_.images == 1 ? a.raw_y : a.y;
     keypoints.resize(static_cast<std::size_t>(n));
     for (int i = 0; i < n; ++i) {
       Keypoint& k = keypoints[static_cast<std::size_t>(i)];
       int const at = first + i;
-      k.pt.x = x[at];
-      k.pt.y = y[at];
+      k.pt.x = a.x[at];
+      k.pt.y = a.y[at];
       k.octave = a.octave[at];
       k.size = static_cast<float>(levels_.patch_size(k.octave));
       k.angle = a.angle[at];
@@ -365,7 +330,7 @@ private:
 
   /// Sends the values that the CPU has computed differently: undistorted positions, stereo.
   void check(int b, Frame const& frame) {
-    if (!resident_[b].stereo) { device_->settle(); }
+    if (!resident_[b].settled) { device_->settle(); }
     frame_arrays const& a = device_->frame(b);
     bool moved = false;
     for (int c = 0; c < (two_cameras() ? 2 : 1); ++c) {

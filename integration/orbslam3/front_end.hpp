@@ -4,13 +4,13 @@
 #pragma once
 
 #include <atomic>
-#include <cstddef>
 #include <exception>
 #include <iostream>
 #include <memory>
 #include <ostream>
 #include <set>
 #include <string>
+#include <thread>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -26,33 +26,52 @@ namespace ft::orbslam3 {
 template <typename Types>
 class front_end;
 
+namespace front_end_detail {
+
+template <typename Cpu, typename Image>
+void extract(Cpu const& cpu, Image const& image) {
+  cpu(0, image);
+}
+/// Of a pair, by two threads as the original does.
+template <typename Cpu, typename Image>
+void extract(Cpu const& cpu, Image const& left, Image const& right) {
+  std::thread other([&] { cpu(1, right); });
+  cpu(0, left);
+  other.join();
+}
+
+}  // namespace front_end_detail
+
+// In the constructors of Frame, whose extractors may have no front end.
+
+/// @param cpu ExtractORB of an image: of camera 0 or 1, and the image
 template <typename Types, typename Cpu, typename... Images>
 void extract(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,
              Images const&... images) {
-  gpu == nullptr ? cpu() : gpu->extract(frame, cpu, images...);
+  auto const all = [&] { front_end_detail::extract(cpu, images...); };
+  gpu == nullptr ? all() : gpu->extract(frame, all, images...);
 }
+/// @param cpu ComputeStereoMatches or ComputeStereoFishEyeMatches
 template <typename Types, typename Cpu>
-void undistort(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
-  gpu == nullptr ? cpu() : gpu->undistort(frame, cpu);
-}
-template <typename Types, typename Cpu>
-void assign_to_grid(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
-  gpu == nullptr ? cpu() : gpu->assign_to_grid(frame, cpu);
-}
-template <typename Types, typename Cpu, typename Image>
-void stereo(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu,
-            std::vector<Image>& left, std::vector<Image>& right) {
-  gpu == nullptr ? cpu() : gpu->stereo(frame, cpu, left, right);
-}
-template <typename Types, typename Cpu>
-void stereo_fisheye(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
-  gpu == nullptr ? cpu() : gpu->stereo_fisheye(frame, cpu);
+void stereo(front_end<Types>* gpu, typename Types::frame& frame, Cpu const& cpu) {
+  gpu == nullptr ? cpu() : gpu->stereo(frame, cpu);
 }
 
 /// Defined by the unit that includes make_tracker.hpp.
 std::unique_ptr<device_tracker> make_tracker(settings const& s);
 
-struct no_vocabulary {};
+/// Whether this thread is in ORB-SLAM3's own code that a front_end has called.
+inline bool& in_own_code() {
+  thread_local bool is = false;
+  return is;
+}
+/// For a hook at the beginning of one of ORB-SLAM3's functions: the front end of a frame's left
+/// extractor, or nullptr where the rest of the function is to run.
+template <typename Frame>
+auto hooked(Frame const& frame) -> decltype(frame.mpORBextractorLeft->mpGpu) {
+  bool const own = in_own_code() || frame.mpORBextractorLeft == nullptr;
+  return own ? nullptr : frame.mpORBextractorLeft->mpGpu;
+}
 
 /// Every call takes the CPU's own code as a callable, `cpu`, which must give the same result. No
 /// exception leaves these functions: the first failure is printed on stderr, and from then on the
@@ -63,6 +82,7 @@ struct no_vocabulary {};
 template <typename Types>
 class front_end {
 public:
+  using types = Types;
   using frame_type = typename Types::frame;
   using map_point = typename Types::map_point;
 
@@ -70,11 +90,10 @@ public:
   /// @param make_settings called for the settings
   /// @param detection hooks if they are compiled in, unless FT_ORBSLAM3_COMPARE=1; the other
   ///   options come from the environment
-  /// @param vocabulary see options::vocabulary; FT_ORBSLAM3_VOCABULARY replaces it
-  /// @param theirs ORBVocabulary, which must have the same words; nullptr: is not compared
-  template <typename MakeSettings, typename Vocabulary = no_vocabulary>
+  /// @param vocabulary see options::vocabulary
+  template <typename MakeSettings>
   front_end(MakeSettings const& make_settings, change_detection detection,
-            std::string const& vocabulary = {}, Vocabulary const* theirs = nullptr) {
+            std::string const& vocabulary = {}) {
     attempt([&] {
       options o;
       set_modes(o, "poses", stage_mode::host);
@@ -82,14 +101,12 @@ public:
       o.vocabulary = vocabulary;
       o = from_environment(o);
       settings const s = make_settings();
-      start(make_tracker(s), s, o, theirs);
+      start(make_tracker(s), s, o);
     });
   }
   /// With a given tracker and options.
-  template <typename Vocabulary = no_vocabulary>
-  front_end(std::unique_ptr<device_tracker> device, settings const& s, options const& o,
-            Vocabulary const* theirs = nullptr) {
-    attempt([&] { start(std::move(device), s, o, theirs); });
+  front_end(std::unique_ptr<device_tracker> device, settings const& s, options const& o) {
+    attempt([&] { start(std::move(device), s, o); });
   }
   front_end(front_end const&) = delete;
   front_end& operator=(front_end const&) = delete;
@@ -101,18 +118,14 @@ public:
   std::shared_ptr<change_queue<map_point>> changes() const {
     return works_ ? gpu_->shared_changes() : nullptr;
   }
-  /// At each image, by the tracking thread: sends the changes of these maps' points here.
+  /// At each image, by the tracking thread: sends the changes of these maps' points here, and wakes
+  /// the threads that extract() needs.
   /// @param maps Atlas::GetAllMaps(): pointers to maps that have a map_changes `mChanges`
   template <typename Maps>
   void watch(Maps const& maps) {
     if (!works_) { return; }
     for (auto* const map : maps) { map->mChanges.send_to(gpu_->shared_changes()); }
-  }
-
-  /// In System::TrackStereo, before it copies or rectifies the images: wakes the threads that
-  /// extract() needs. Does not wait for them.
-  void expect_images() {
-    if (uses(stage::extract)) { gpu_->expect_images(); }
+    gpu_->expect_images();
   }
 
   // ---- in the constructors of Frame
@@ -123,49 +136,19 @@ public:
     run(uses(stage::extract), cpu,
         [&] { both_ ? both_->extract(frame, cpu, images...) : gpu_->extract(images..., frame); });
   }
-  /// mvKeysUn. @param cpu UndistortKeyPoints
+  /// Frame::ComputeStereoMatches and ComputeStereoFishEyeMatches of what extract() has filled.
+  /// Frames with features of the CPU have the CPU's stereo.
   template <typename Cpu>
-  void undistort(frame_type& frame, Cpu const& cpu) {
-    run(uses(stage::undistort) && gpu_->can_undistort(frame), cpu,
-        [&] { both_ ? both_->undistort(frame, cpu) : gpu_->undistort(frame); });
-  }
-  /// mGrid and mGridRight. @param cpu AssignFeaturesToGrid
-  template <typename Cpu>
-  void assign_to_grid(frame_type& frame, Cpu const& cpu) {
-    run(uses(stage::grid), cpu,
-        [&] { both_ ? both_->assign_to_grid(frame, cpu) : gpu_->assign_to_grid(frame); });
-  }
-  /// Frame::ComputeStereoMatches. @param left,right the extractors' mvImagePyramid
-  template <typename Cpu, typename Image>
-  void stereo(frame_type& frame, Cpu const& cpu, std::vector<Image>& left,
-              std::vector<Image>& right) {
-    // The CPU's pyramids are those of this frame if the CPU has extracted it as well.
-    bool const here = works_ && gpu_->extracted(frame);
-    bool const pyramids = !here || both_ != nullptr;
-    auto const on_gpu = [&] {
-      if (here) {
-        gpu_->compute_stereo_matches(frame);
-      } else {
-        gpu_->compute_stereo_matches(frame, left, right);
-      }
-    };
-    run_stereo(frame, cpu, on_gpu, [&] {
-      if (pyramids || (works_ && attempt([&] {
-                         gpu_->download_pyramid(0, left);
-                         gpu_->download_pyramid(1, right);
-                       }))) {
-        return cpu();
-      }
-      // The accelerator has failed in between: one frame without stereo.
-      frame.mvuRight.assign(frame.mvKeys.size(), -1.0f);
-      frame.mvDepth.assign(frame.mvKeys.size(), -1.0f);
-    });
-  }
-  /// Frame::ComputeStereoFishEyeMatches.
-  template <typename Cpu>
-  void stereo_fisheye(frame_type& frame, Cpu const& cpu) {
-    run_stereo(
-        frame, cpu, [&] { gpu_->compute_stereo_fisheye_matches(frame); }, cpu);
+  void stereo(frame_type& frame, Cpu const& cpu) {
+    bool const here = uses(stage::stereo) && gpu_->extracted(frame);
+    if (!here || both_ != nullptr || gpu_->two_cameras()) {
+      return run(here, cpu,
+                 [&] { both_ ? both_->stereo(frame, cpu) : gpu_->compute_stereo(frame); });
+    }
+    // Where the device fails here, one frame is without stereo: the CPU's has no image pyramids.
+    run(
+        true, [&] { frame.mvuRight = frame.mvDepth = std::vector<float>(frame.mvKeys.size(), -1); },
+        [&] { gpu_->compute_stereo(frame); });
   }
 
   // ---- in Tracking; each returns the value of `cpu`
@@ -174,21 +157,26 @@ public:
   template <typename Cpu>
   int search_by_projection(frame_type& current, frame_type const& last, float th, bool mono,
                            Cpu const& cpu) {
+    next_pose_ = stage::pose_last_frame;
     return either(stage::search_last_frame, cpu, [&](auto& by, auto const&... with) {
       return by.search_by_projection(current, last, th, mono, with...);
     });
   }
-  /// Runs on the CPU also while memory for a larger local map is being allocated.
   /// @param cpu frustum test of all points and ORBmatcher::SearchByProjection of those in view
   template <typename Cpu>
   int search_local_points(frame_type& frame, std::vector<map_point*> const& points, float th,
                           bool far_points, float far_threshold, Cpu const& cpu) {
-    if (uses(stage::search_local_map) && !has_room_for(points.size())) { return cpu(); }
+    next_pose_ = stage::pose_local_map;
     return either(stage::search_local_map, cpu, [&](auto& by, auto const&... with) {
       return by.search_local_points(frame, points, th, far_points, far_threshold, with...);
     });
   }
+  /// The stage is that of the search before: of the last frame, of the local map, or any other.
   /// @param cpu Optimizer::PoseOptimization
+  template <typename Cpu>
+  int pose_optimization(frame_type& frame, Cpu const& cpu) {
+    return pose_optimization(frame, std::exchange(next_pose_, stage::pose_keyframe), cpu);
+  }
   template <typename Cpu>
   int pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
     return either(which, cpu, [&](auto& by, auto const&... with) {
@@ -200,7 +188,6 @@ public:
   /// @param cpu Optimizer::PoseInertialOptimizationLastFrame or ...LastKeyFrame, as `which` says
   template <typename Cpu>
   int inertial_pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
-    if (uses(which) && !gpu_->can_optimize_inertial(frame, which)) { return cpu(); }
     return either(which, cpu, [&](auto& by, auto const&... with) {
       return by.inertial_pose_optimization(frame, which, with...);
     });
@@ -208,7 +195,8 @@ public:
   /// From any thread: mapping computes the words of keyframes.
   /// @param cpu Frame::ComputeBoW or KeyFrame::ComputeBoW
   template <typename Frame, typename Cpu>
-  void compute_bow(Frame& frame, Cpu const& cpu) {
+  void compute_bow(Frame& frame, Cpu const& by_cpu) {
+    auto const cpu = own_code(by_cpu);
     run(frame.mBowVec.empty() && uses(stage::transform) && gpu_->can_compute_bow(frame), cpu, [&] {
       verified(stage::transform) ? both_->compute_bow(frame, cpu) : gpu_->compute_bow(frame);
     });
@@ -219,6 +207,7 @@ public:
   template <typename KeyFrame, typename Cpu>
   int search_by_bow(KeyFrame& keyframe, frame_type const& frame, std::vector<map_point*>& matches,
                     float ratio, bool orientation_check, Cpu const& cpu) {
+    next_pose_ = stage::pose_keyframe;
     return either(stage::search_by_bow, cpu, [&](auto& by, auto const&... with) {
       return by.search_by_bow(keyframe, frame, matches, ratio, orientation_check, with...);
     });
@@ -243,19 +232,19 @@ public:
     if (works_) { gpu_->reset(); }
   }
 
-  /// Prints statistics and the summary of verify, if enabled; at the end.
+  /// Prints the summary of verify, if enabled, and how many calls were refused; at the end.
   void print(std::ostream& out) {
-    if (gpu_ != nullptr && gpu_->chosen().statistics) { orbslam3::print(out, gpu_->times()); }
     if (both_ != nullptr) { both_->summary(out); }
     if (refused_ > 0) { out << "ft: " << refused_ << " calls were refused\n"; }
   }
 
 private:
-  template <typename Vocabulary>
-  void start(std::unique_ptr<device_tracker> device, settings const& s, options const& o,
-             Vocabulary const* theirs) {
+  void start(std::unique_ptr<device_tracker> device, settings const& s, options o) {
+    // The CPU's stereo of a rectified pair needs the CPU's image pyramids.
+    bool const pyramids = s.images == 2 && s.left.kind == lens::pinhole;
+    if (pyramids && o[stage::stereo] == stage_mode::host) { o[stage::extract] = stage_mode::host; }
     gpu_ = std::make_unique<accelerator<Types>>(std::move(device), s, o);
-    load_vocabulary(o, theirs);
+    load_vocabulary(o);
     if (o.verify) {
       both_ = std::make_unique<verifier<Types>>(*gpu_, nullptr);
       both_->print_frames(std::cerr);
@@ -263,16 +252,9 @@ private:
     works_ = true;
   }
   /// Without a vocabulary only the transform stays the CPU's.
-  template <typename Vocabulary>
-  void load_vocabulary(options const& o, Vocabulary const* theirs) {
+  void load_vocabulary(options const& o) {
     if (o.vocabulary.empty() || o[stage::transform] == stage_mode::host) { return; }
     try {
-      if constexpr (!std::is_same_v<Vocabulary, no_vocabulary>) {
-        if (theirs != nullptr) {
-          vocabulary_facts const facts = facts_of(*theirs);
-          return gpu_->load_vocabulary(o.vocabulary, &facts);
-        }
-      }
       gpu_->load_vocabulary(o.vocabulary);
     } catch (std::exception const& e) { say(e.what(), "finds the words"); }
   }
@@ -299,32 +281,27 @@ private:
     bool const ours = reason.rfind("ft: ", 0) == 0;
     std::cerr << (ours ? "" : "ft: ") << reason << "; ORB-SLAM3's own code " << what << "\n";
   }
-  bool has_room_for(std::size_t points) {
-    bool room = false;
-    attempt([&] { room = gpu_->has_room_for(points); });
-    if (works_ && !room && points > most_told_) {
-      most_told_ = points;
-      std::cerr << "ft: ORB-SLAM3's own code searches a local map of " << points
-                << " points while memory for it is allocated (settings::local_points)\n";
-    }
-    return room;
-  }
   /// Calls `here` if the accelerator runs a stage, otherwise or if that fails `cpu`.
   template <typename Cpu, typename Here>
   void run(bool runs, Cpu const& cpu, Here const& here) {
     if (!runs || !attempt(here)) { cpu(); }
   }
-  /// @param otherwise called where the accelerator has no stereo
-  template <typename Cpu, typename Gpu, typename Otherwise>
-  void run_stereo(frame_type& frame, Cpu const& cpu, Gpu const& on_gpu,
-                  Otherwise const& otherwise) {
-    run(uses(stage::stereo), otherwise,
-        [&] { both_ ? both_->stereo(frame, cpu, on_gpu) : on_gpu(); });
+  /// @param by_cpu calls ORB-SLAM3's own function: a hook at its beginning must let it pass
+  template <typename Cpu>
+  static auto own_code(Cpu const& by_cpu) {
+    return [&by_cpu] {
+      struct restored {
+        bool before = std::exchange(in_own_code(), true);
+        ~restored() { in_own_code() = before; }
+      } const inside;
+      return by_cpu();
+    };
   }
   /// @param call makes the call by the accelerator, or by the verifier with `cpu`. What the
   ///   accelerator refuses is the CPU's
   template <typename Cpu, typename Call>
-  int either(stage s, Cpu const& cpu, Call const& call) {
+  int either(stage s, Cpu const& by_cpu, Call const& call) {
+    auto const cpu = own_code(by_cpu);
     int answer = call_refused;
     run(
         uses(s), [] {}, [&] { answer = verified(s) ? call(*both_, cpu) : call(*gpu_); });
@@ -336,10 +313,47 @@ private:
 
   std::unique_ptr<accelerator<Types>> gpu_;  ///< kept after a failure: the hooks use its queue
   std::unique_ptr<verifier<Types>> both_;
-  std::atomic<bool> works_{false};  ///< mapping reads it, too
-  std::size_t most_told_ = 0;       ///< points of a local map that had no room
-  std::atomic<int> refused_{0};     ///< calls
+  std::atomic<bool> works_{false};          ///< mapping reads it, too
+  stage next_pose_ = stage::pose_keyframe;  ///< that the last search says
+  std::atomic<int> refused_{0};             ///< calls
   std::set<std::string> reasons_;
 };
+
+/// Protected members, which a derived class may name.
+template <typename Extractor>
+struct opened_extractor : Extractor {
+  static extractor_parameters parameters_of(Extractor& e) {
+    return {e.*(&opened_extractor::nfeatures), e.GetScaleFactor(), e.GetLevels(),
+            e.*(&opened_extractor::iniThFAST), e.*(&opened_extractor::minThFAST)};
+  }
+};
+template <typename Tracking>
+struct opened_tracking : Tracking {
+  template <typename Image>
+  static void follow(Tracking& t, Image const& image) {
+    using opened = opened_tracking;
+    using front = typename std::decay_t<decltype(t.mpGpu)>::element_type;
+    auto* const extractor = t.*(&opened::mpORBextractorLeft);
+    auto const make_settings = [&] {
+      using opened_features = opened_extractor<std::decay_t<decltype(*extractor)>>;
+      return settings_of<typename front::types>(
+          opened_features::parameters_of(*extractor), t.mSensor, image, t.*(&opened::mbf),
+          t.*(&opened::mpCamera), t.*(&opened::mpCamera2), t.*(&opened::mTlr));
+    };
+    if (t.mpGpu == nullptr && !image.empty()) {
+      t.mpGpu = std::make_unique<front>(make_settings, change_detection::hooks, t.mGpuVocabulary);
+    }
+    if (t.mpGpu != nullptr) { t.mpGpu->watch((t.*(&opened::mpAtlas))->GetAllMaps()); }
+    extractor->mpGpu = t.mpGpu.get();
+  }
+};
+
+/// In Tracking, before a frame is made of an image: makes Tracking::mpGpu when the first image that
+/// is not empty tells the size, gives it to the left extractor, and sends the changes of all maps'
+/// points there. Reads the members of Tracking and ORBextractor that settings_of() takes.
+template <typename Tracking, typename Image>
+void follow(Tracking& tracking, Image const& image) {
+  opened_tracking<Tracking>::follow(tracking, image);
+}
 
 }  // namespace ft::orbslam3

@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The points of a frame as slots of the device and back: those that its keypoints hold, and
-/// those of its local map, with the results of the frustum test and the memory of the search.
+/// those of its local map, with the results of the frustum test.
 #pragma once
 
 #include <algorithm>
-#include <chrono>
 #include <cstddef>
 #include <cstring>
-#include <future>
 #include <mutex>
 #include <type_traits>
 #include <utility>
@@ -19,34 +17,6 @@
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft::orbslam3 {
-
-/// Used by the tracking thread.
-class local_room {
-public:
-  explicit local_room(device_tracker& device) : device_(&device) {}
-
-  /// Call before the search of a local map. If it needs more than half of the memory, a thread
-  /// starts to allocate memory for twice as many points. Where that fails, a larger local map tries
-  /// again.
-  /// @return whether there was memory for `points` before that
-  bool follow(int points) {
-    int const room = device_->local_room();
-    int const wanted = 2 * points;
-    bool const busy =
-        growing_.valid() && growing_.wait_for(std::chrono::seconds(0)) != std::future_status::ready;
-    if (wanted > room && wanted > attempted_ && !busy) {
-      attempted_ = wanted;
-      growing_ = std::async(std::launch::async,
-                            [device = device_, wanted] { device->prepare_local(wanted); });
-    }
-    return points <= room;
-  }
-
-private:
-  device_tracker* device_;
-  int attempted_ = 0;  ///< points
-  std::future<void> growing_;
-};
 
 /// Map points are scattered over the heap: reads of later ones are begun early.
 /// @tparam Writes 1: the place will be written
@@ -219,23 +189,24 @@ public:
     return tested;
   }
 
-  /// Writes the tracked values of the points in view, and their counters.
-  void write_sights(frame_type& frame, std::vector<map_point*> const& points,
-                    points_in_view const& seen) {
-    int const parts = (seen.count + sights_at_a_time - 1) / sights_at_a_time;
-    device_->helpers().share(drawn_ + parts, [&](int i) {
-      if (i < drawn_) {  // the longest part is started first
-        draw(frame, seen);
-      } else {
-        int const first = (i - drawn_) * sights_at_a_time;
-        write_sights(points, seen, first, std::min(first + sights_at_a_time, seen.count));
-      }
+  /// Writes the tracked values of the points in view, and their counters. @return their number
+  int write_sights(frame_type& frame, std::vector<map_point*> const& points,
+                   local_sights const& seen) {
+    int const n = static_cast<int>(points.size());
+    int const count = (n + at_a_time - 1) / at_a_time;
+    device_->helpers().share(drawn_ + count, [&](int i) {
+      if (i < drawn_) { return draw(frame, seen, n); }  // the longest part is started first
+      int const first = (i - drawn_) * at_a_time;
+      parts_[index(i - drawn_)].in_view =
+          write_sights(points, seen, first, std::min(first + at_a_time, n));
     });
+    int in_view = 0;
+    for (int p = 0; p < count; ++p) { in_view += parts_[index(p)].in_view; }
+    return in_view;
   }
 
 private:
-  static constexpr int at_a_time = 256;        ///< points that are gathered
-  static constexpr int sights_at_a_time = 64;  ///< points in view that get their values
+  static constexpr int at_a_time = 256;  ///< points
 
   struct gathering {
     frame_type const& frame;
@@ -247,6 +218,7 @@ private:
   struct alignas(64) part {
     bool changed;
     int tested;
+    int in_view;
     std::vector<int> unknown;  ///< points that the mirror has to look at
     std::vector<recorded_sight> recorded;
   };
@@ -287,12 +259,15 @@ private:
     if (!tested && !bad && !far && quirks_) { record(*point, i, slot, own.recorded); }
   }
 
-  void write_sights(std::vector<map_point*> const& points, points_in_view const& seen, int first,
-                    int last) const {
+  int write_sights(std::vector<map_point*> const& points, local_sights const& seen, int first,
+                   int last) const {
     bool const two = two_cameras();
+    int in_view = 0;
     for (int k = first; k < last; ++k) {
-      prefetch_seen(points, seen, k);
-      map_point& p = *points[static_cast<std::size_t>(seen.index[k])];
+      if (k + 8 < last && is_seen(seen, k + 8)) { prefetch_written(points[index(k + 8)]); }
+      if (!is_seen(seen, k)) { continue; }
+      ++in_view;
+      map_point& p = *points[index(k)];
       visibility const& left = seen.by[0][k];
       if (left.level >= 0) {
         p.mbTrackInView = true;
@@ -314,6 +289,10 @@ private:
       }
       p.IncreaseVisible(1);
     }
+    return in_view;
+  }
+  bool is_seen(local_sights const& seen, int k) const {
+    return seen.by[0][k].level >= 0 || (two_cameras() && seen.by[1][k].level >= 0);
   }
   /// Records a point that is not tested, but was seen by an earlier test and is searched there.
   void record(map_point const& p, int at, int slot, std::vector<recorded_sight>& to) const {
@@ -333,11 +312,10 @@ private:
     }
   }
   /// Of equal numbers the last one counts, as in the original. In order, nodes are put at the end.
-  void draw(frame_type& frame, points_in_view const& seen) {
+  void draw(frame_type& frame, local_sights const& seen, int points) {
     in_order_.clear();
-    for (int k = 0; k < seen.count; ++k) {
-      if (seen.by[0][k].level < 0) { continue; }
-      in_order_.emplace_back(mirror_->id(likely_[index(seen.index[k])]), k);
+    for (int k = 0; k < points; ++k) {
+      if (seen.by[0][k].level >= 0) { in_order_.emplace_back(mirror_->id(likely_[index(k)]), k); }
     }
     std::sort(in_order_.begin(), in_order_.end());
     auto& drawn = frame.mmProjectPoints;
@@ -354,10 +332,7 @@ private:
     prefetch(&points[soon]->mnLastFrameSeen);
   }
   /// Also the end of the object, where the original keeps its locks.
-  static void prefetch_seen(std::vector<map_point*> const& points, points_in_view const& seen,
-                            int k) {
-    if (k + 8 >= seen.count) { return; }
-    map_point* const p = points[index(seen.index[k + 8])];
+  static void prefetch_written(map_point* p) {
     prefetch<1>(&p->mTrackProjX);
     prefetch<1>(&p->mnTrackScaleLevel);
     prefetch<1>(reinterpret_cast<char const*>(p + 1) - 64);
@@ -372,7 +347,7 @@ private:
   std::vector<recorded_sight> recorded_;
   std::vector<part> parts_;
   std::vector<std::pair<std::size_t, int>>
-      in_order_;  ///< number of a point in view, its place there
+      in_order_;  ///< number of a point in view, its place in the local map
 };
 
 }  // namespace ft::orbslam3

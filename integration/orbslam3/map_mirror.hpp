@@ -3,11 +3,9 @@
 /// since.
 #pragma once
 
-#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <exception>
 #include <limits>
 #include <memory>
 #include <mutex>
@@ -25,8 +23,8 @@
 namespace ft::orbslam3 {
 
 /// Reads map points under their own locks. With hooks, a thread of the mirror does so
-/// while tracking does other work, also for points that tracking has not met yet; it makes room for
-/// more as well. Each call of tracking, from begin_call() to flush(), reads the remaining ones.
+/// while tracking does other work, also for points that tracking has not met yet. Each call of
+/// tracking, from begin_call() to flush(), reads the remaining ones.
 ///
 /// Map points live until forget() or clear(). Only the tracking thread may make calls; changes()
 /// and forget() may be called from any thread.
@@ -179,7 +177,6 @@ private:
   static constexpr std::uint32_t keep_unused[] = {1000, 100, 12};
   /// Most points that the reader thread reads while tracking waits for the lock.
   static constexpr std::size_t at_a_time = 16;
-  static constexpr int evicted_at_a_time = 2048;  ///< slots examined
 
   static std::size_t index(int slot) { return static_cast<std::size_t>(slot); }
 
@@ -277,7 +274,6 @@ private:
         ++round_;
         look_at_changes(at_a_time);
       }
-      keep_room();
       while (wanted_ > 0) { std::this_thread::yield(); }
     }
   }
@@ -294,48 +290,18 @@ private:
     slot_by_address_.reserve(index(capacity_));
     for (int slot = capacity_ - 1; slot >= first; --slot) { free_.push_back(slot); }
   }
-  /// Frees slots in [first, last): of bad points and of points unused for long. Never those of this
-  /// call.
-  void evict(int first, int last, std::uint32_t keep) {
-    for (int slot = first; slot < last; ++slot) {
-      entry const& e = entries_[index(slot)];
-      if (e.owner == nullptr || e.used_in == call_) { continue; }
-      if (e.bad || e.used_in + keep < call_) { release(slot); }
-    }
-  }
-  bool has_room(int share) const { return free_.size() > entries() / index(share); }
-  std::size_t entries() const { return index(capacity_); }
-  /// Within a call. The device's memory grows in flush().
+  /// Frees the slots of bad points and of points unused for long, never those of this call. Where
+  /// that frees few, adds more; the device's memory then grows in flush().
   void make_room() {
     for (std::uint32_t const keep : keep_unused) {
-      evict(0, capacity_, keep);
-      if (has_room(8)) { return; }
+      for (int slot = 0; slot < capacity_; ++slot) {
+        entry const& e = entries_[index(slot)];
+        if (e.owner == nullptr || e.used_in == call_) { continue; }
+        if (e.bad || e.used_in + keep < call_) { release(slot); }
+      }
+      if (free_.size() > index(capacity_) / 8) { return; }
     }
     add_slots(capacity_);
-  }
-  /// Called by the reader thread: keeps a quarter of all slots free. Holds the lock for short times
-  /// only.
-  void keep_room() {
-    for (std::uint32_t const keep : keep_unused) {
-      for (int first = 0;; first += evicted_at_a_time) {
-        while (wanted_ > 0) { std::this_thread::yield(); }
-        std::lock_guard<std::mutex> const lock(mutex_);
-        if (has_room(4)) { return; }
-        if (first >= capacity_) { break; }
-        evict(first, std::min(first + evicted_at_a_time, capacity_), keep);
-      }
-    }
-    int wanted = 0;
-    {
-      std::lock_guard<std::mutex> const lock(mutex_);
-      wanted = 2 * capacity_;
-    }
-    try {
-      device_->prepare_map(wanted);
-      std::lock_guard<std::mutex> const lock(mutex_);
-      if (capacity_ < wanted) { add_slots(wanted - capacity_); }
-    } catch (std::exception const&) {  // the call that needs it retries and throws
-    }
   }
 
   device_tracker* device_;

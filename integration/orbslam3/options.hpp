@@ -1,17 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Choice of the stages that the shim runs, made in code and changed by the environment, and
-/// the times of their calls.
+/// @file Choice of the stages that the shim runs, made in code and changed by the environment.
 #pragma once
 
 #include <algorithm>
 #include <array>
-#include <chrono>
-#include <cmath>
 #include <cstddef>
 #include <cstdlib>
-#include <ostream>
 #include <string>
-#include <vector>
 
 #include "ft/core/error.hpp"
 
@@ -25,34 +20,28 @@ enum class change_detection {
 
 enum class stage {
   extract,
-  undistort,
   stereo,
-  grid,
   search_last_frame,
   pose_last_frame,
   search_local_map,
   pose_local_map,
-  pose_reference_keyframe,
-  pose_relocalization,
+  pose_keyframe,  ///< of the reference keyframe, and in relocalisation
   pose_inertial_last_frame,
   pose_inertial_last_keyframe,
   search_keyframe,
   transform,
   search_by_bow,
 };
-inline constexpr int stage_count = 15;
+inline constexpr int stage_count = 12;
 
 inline char const* name_of(stage s) {
   constexpr char const* names[stage_count] = {"extract",
-                                              "undistort",
                                               "stereo",
-                                              "grid",
                                               "search_last_frame",
                                               "pose_last_frame",
                                               "search_local_map",
                                               "pose_local_map",
-                                              "pose_reference_keyframe",
-                                              "pose_relocalization",
+                                              "pose_keyframe",
                                               "pose_inertial_last_frame",
                                               "pose_inertial_last_keyframe",
                                               "search_keyframe",
@@ -78,13 +67,12 @@ enum class stage_mode {
 
 struct options {
   change_detection detection = change_detection::compare;
-  bool statistics = false;
   bool verify = false;  ///< for the call sites: run both and compare, see verify.hpp
   /// Whether the search of a local map fills Frame::mmProjectPoints, which only a viewer draws.
   bool fills_projected_points = true;
   std::array<stage_mode, stage_count> modes{};  ///< by stage; all on the device
-  /// File of the vocabulary for `transform`, which front_end loads: DBoW2's text, or ft's binary
-  /// form. Empty: ORB-SLAM3's own code transforms.
+  /// File of the vocabulary for `transform`, which front_end loads: the one that the system reads,
+  /// DBoW2's text, or its words in ft's binary form. Empty: ORB-SLAM3's own code transforms.
   std::string vocabulary;
 
   stage_mode& operator[](stage s) { return modes[static_cast<std::size_t>(s)]; }
@@ -128,10 +116,9 @@ inline void set_modes(options& o, std::string const& list, stage_mode mode) {
 }
 
 /// `o` with the changes of the environment: FT_ORBSLAM3_HOST and FT_ORBSLAM3_BYPASS are lists of
-/// stages, the first of which replaces what `o` leaves to the CPU; FT_ORBSLAM3_STATISTICS and
-/// FT_ORBSLAM3_VERIFY are 0 or 1; FT_ORBSLAM3_PROJECTED_POINTS=0 leaves mmProjectPoints empty;
-/// FT_ORBSLAM3_COMPARE=1 finds changes of map points by comparing;
-/// FT_ORBSLAM3_VOCABULARY is the vocabulary's path.
+/// stages, the first of which replaces what `o` leaves to the CPU; FT_ORBSLAM3_VERIFY is 0 or 1;
+/// FT_ORBSLAM3_PROJECTED_POINTS=0 leaves mmProjectPoints empty; FT_ORBSLAM3_COMPARE=1 finds changes
+/// of map points by comparing.
 /// @throws bad_argument as set_modes()
 inline options from_environment(options o = {}) {
   auto const text = [](char const* name) {
@@ -146,81 +133,12 @@ inline options from_environment(options o = {}) {
     set_modes(o, text("FT_ORBSLAM3_HOST"), stage_mode::host);
   }
   set_modes(o, text("FT_ORBSLAM3_BYPASS"), stage_mode::bypass);
-  flag("FT_ORBSLAM3_STATISTICS", o.statistics);
   flag("FT_ORBSLAM3_VERIFY", o.verify);
   flag("FT_ORBSLAM3_PROJECTED_POINTS", o.fills_projected_points);
   bool compare = false;
   flag("FT_ORBSLAM3_COMPARE", compare);
   if (compare) { o.detection = change_detection::compare; }
-  std::string const path = text("FT_ORBSLAM3_VOCABULARY");
-  if (!path.empty()) { o.vocabulary = path; }
   return o;
 }
-
-/// Times of a stage's last 65,536 calls, and the longest of all, microseconds: of the host, from
-/// the call to its return.
-class call_times {
-public:
-  long calls() const { return calls_; }
-  double longest() const { return longest_; }
-  void add(double time) {
-    ++calls_;
-    longest_ = std::max(longest_, time);
-    if (all_.size() < most) {
-      all_.push_back(time);
-    } else {
-      all_[next_++ % most] = time;
-    }
-  }
-  /// @param share 0.5 for the median @return 0 without calls
-  double percentile(double share) const {
-    if (all_.empty()) { return 0; }
-    std::vector<double> sorted = all_;
-    auto const at = std::ceil(share * static_cast<double>(sorted.size())) - 1;
-    auto const place = sorted.begin() + static_cast<std::ptrdiff_t>(std::max(at, 0.0));
-    std::nth_element(sorted.begin(), place, sorted.end());
-    return *place;
-  }
-
-private:
-  static constexpr std::size_t most = std::size_t{1} << 16;
-  std::vector<double> all_;
-  std::size_t next_ = 0;
-  long calls_ = 0;
-  double longest_ = 0;
-};
-
-using statistics = std::array<call_times, stage_count>;
-
-/// A line per stage that was called.
-inline std::ostream& print(std::ostream& out, statistics const& all) {
-  for (int i = 0; i < stage_count; ++i) {
-    call_times const& s = all[static_cast<std::size_t>(i)];
-    if (s.calls() == 0) { continue; }
-    out << name_of(static_cast<stage>(i)) << ": " << s.calls() << " calls, p50 "
-        << s.percentile(0.5) << " us, p99 " << s.percentile(0.99) << ", maximum " << s.longest()
-        << "\n";
-  }
-  return out;
-}
-
-/// Times one call of a stage. Without statistics it reads no clock.
-class stage_timer {
-public:
-  explicit stage_timer(call_times* to) : to_(to) {
-    if (to_ != nullptr) { begin_ = clock::now(); }
-  }
-  stage_timer(stage_timer const&) = delete;
-  stage_timer& operator=(stage_timer const&) = delete;
-  ~stage_timer() {
-    if (to_ == nullptr) { return; }
-    to_->add(std::chrono::duration<double, std::micro>(clock::now() - begin_).count());
-  }
-
-private:
-  using clock = std::chrono::steady_clock;
-  call_times* to_;
-  clock::time_point begin_;
-};
 
 }  // namespace ft::orbslam3

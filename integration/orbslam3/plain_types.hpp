@@ -5,7 +5,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <string>
 
 #include "ft/core/config.hpp"
@@ -47,7 +46,7 @@ struct settings : orb_params {
   /// Map points on the device at a time: those of recent local maps and those that mapping has
   /// created since. With more, the memory grows.
   int map_points = 1 << 15;
-  /// Points of a local map. When more than half are used, another thread doubles the memory.
+  /// Points of a local map. The first one with more allocates memory for twice as many.
   int local_points = 1 << 14;
   /// Threads that share the host's part of a call: copies of images, filling a frame, counting
   /// points in view. They sleep between calls. -1: a quarter of the machine's, 3 at most.
@@ -58,19 +57,6 @@ struct settings : orb_params {
   bool reference_quirks = true;
   /// Levels of the vocabulary above the deepest one at which keypoints are grouped, 0 to 10.
   int levels_up = 4;
-};
-
-/// Radial-tangential distortion of a pinhole camera in OpenCV's notation, and its camera matrix,
-/// which is also the one of the undistorted positions. As in ORB-SLAM3, k1 = 0 means that there is
-/// no distortion.
-struct lens_distortion {
-  float fx = 0, fy = 0, cx = 0, cy = 0;  ///< pixels
-  float k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0;
-
-  bool any() const { return k1 != 0; }
-  friend bool operator==(lens_distortion const& a, lens_distortion const& b) {
-    return std::memcmp(&a, &b, sizeof a) == 0;
-  }
 };
 
 /// Frame's bounds after undistortion, pixels.
@@ -86,10 +72,7 @@ struct bounds {
 struct extraction_request {
   int buffer = 0;
   gray_view left;
-  gray_view right;         ///< of a pair
-  lens_distortion lens{};  ///< of a single image: keypoints get their undistorted positions
-  /// Of a single image: where its keypoints will be searched; without area, this is not known yet.
-  bounds searched{};
+  gray_view right;  ///< of a pair
 };
 
 /// Arrays of a frame in host memory, a copy of those on the device. Keypoint k of image c is at c *
@@ -98,16 +81,14 @@ struct frame_arrays {
   int capacity = 0;
   int* count = nullptr;                 ///< [2]
   int* mono = nullptr;                  ///< [2] keypoints before those in the stereo overlap
-  float* x = nullptr;                   ///< [2][capacity] pixels, without distortion
+  float* x = nullptr;                   ///< [2][capacity] pixels: as extracted, or as searched
   float* y = nullptr;                   ///< likewise
-  float* raw_x = nullptr;               ///< [capacity] as extracted; only by extract() of one image
-  float* raw_y = nullptr;               ///< likewise
   float* angle = nullptr;               ///< likewise, degrees
   float* response = nullptr;            ///< likewise; filled by extract() only
   int* octave = nullptr;                ///< likewise
   std::uint32_t* descriptor = nullptr;  ///< [2][capacity][8]
   float* right_x = nullptr;             ///< [capacity] pixels, -1 = none
-  float* depth = nullptr;               ///< [capacity] metres, -1 = none; filled by stereo only
+  float* depth = nullptr;               ///< [capacity] metres, -1 = none; filled by extract() only
   int* partner = nullptr;               ///< [2][capacity] -1 = none
   vec3<float>* point = nullptr;         ///< [capacity] fisheye stereo, left camera's frame, metres
   int* holder = nullptr;                ///< [2][capacity] slot of the map point held, -1 = none
@@ -116,12 +97,10 @@ struct frame_arrays {
 /// Parts of a frame that are sent together.
 enum class frame_part { keypoints, positions, octaves, right_x, partner, holder };
 
-/// The points of a local map that a camera sees, in the order of the map.
-struct points_in_view {
-  int count = 0;
-  int const* index = nullptr;  ///< [count] in the local map
-  /// [count] seen by the left and the right camera; the latter only for kannala_brandt pairs.
-  visibility const* by[2] = {};
+/// How the left and the right camera see the points of a local map; the latter only of a
+/// kannala_brandt pair. A point that is not in view has level -1.
+struct local_sights {
+  visibility const* by[2] = {};  ///< [points]
 };
 
 /// A point that is searched at its position from an earlier test.
@@ -213,18 +192,6 @@ struct inertial_result {
   inertial_prior prior{};  ///< for the next frame
 };
 
-/// What tells one vocabulary from another: its header, and all its words. The inner nodes are left
-/// out, since DBoW2 shows none of them.
-struct vocabulary_facts {
-  int branching = 0;
-  int levels = 0;
-  int scoring = 0;
-  int weighting = 0;
-  std::size_t words = 0;
-  std::uint64_t descriptors = 0;  ///< checksum of 32 bytes of each word, in their order
-  std::uint64_t weights = 0;      ///< checksum of a double of each word, in their order
-};
-
 /// Descriptors of a frame: rows of 32 bytes.
 struct descriptor_rows {
   unsigned char const* data = nullptr;
@@ -299,48 +266,32 @@ public:
 
   /// Enqueues the extraction of images into frame(buffer). wait_for_features() must follow. Of two
   /// images stereo is enqueued as well: the device then owns frame(buffer).right_x, depth, partner
-  /// and point until match_stereo() or settle(). The images may be reused on return. Keypoints of a
-  /// single image are undistorted and sorted into their search grid. The first
-  /// request with another distortion records its launches.
+  /// and point until settle(). The images may be reused on return.
   virtual void extract(extraction_request const& request) = 0;
   /// Waits for the keypoints of the last extract().
   virtual void wait_for_features() = 0;
-  /// Builds the pyramids of two images, for match_stereo() of keypoints that were extracted
-  /// elsewhere.
-  virtual void build_pyramids(gray_view const& left, gray_view const& right) = 0;
-  /// Matches the keypoints of a buffer in the current pyramids and downloads the result into
-  /// frame(buffer). If extract() has enqueued that, only waits.
-  virtual void match_stereo(int buffer) = 0;
   /// Waits for work that an earlier call left in flight.
   virtual void settle() = 0;
-  /// Downloads a level of an image's pyramid. @param to rows of `stride` bytes
-  virtual void download_level(int image, int level, unsigned char* to, std::size_t stride) = 0;
 
   /// Enqueues the upload of a part of frame(buffer).
   virtual void send(int buffer, frame_part part) = 0;
 
-  /// Allocates the memory that reserve_map(slots) will use. From any thread.
-  virtual void prepare_map(int slots) = 0;
-  /// Makes room for `slots` map points and keeps the current ones. Allocates unless prepared.
+  /// Makes room for `slots` map points and keeps the current ones. Allocates.
   virtual void reserve_map(int slots) = 0;
   /// Enqueues changes of map points.
   /// @param words in the format of map_change; may be reused on return
   virtual void change_map(map_change const& change, std::uint32_t const* words) = 0;
-  /// Points of a local map that memory is allocated for. From any thread.
-  virtual int local_room() const = 0;
-  /// Allocates the memory for a local map of `points`. From any thread.
-  virtual void prepare_local(int points) = 0;
   /// Slots of a local map of up to `points`, to be filled in by the caller. They keep the values of
-  /// the last request. Allocates unless prepared.
+  /// the last request. Allocates for more points than ever before.
   virtual int* local_slots(int points) = 0;
   /// Room for `count` recorded sights, of points in local_slots().
   virtual recorded_sight* recorded_sights(int count) = 0;
 
   /// Starts without holders; fills frame(request.buffer).holder. Returns the number of matches.
   virtual int search_last_frame(search_request const& request) = 0;
-  /// Starts from the holders in the buffer. Returns the points in view while the search is still in
-  /// flight; local_matches() must follow.
-  virtual points_in_view search_local_map(search_request const& request) = 0;
+  /// Starts from the holders in the buffer. Returns how the points are seen while the search is
+  /// still in flight; local_matches() must follow.
+  virtual local_sights search_local_map(search_request const& request) = 0;
   /// Waits for the search, which fills the holders. Returns the number of matches.
   virtual int local_matches() = 0;
   /// Starts from the holders in the buffer; those of outliers become -1.
@@ -358,8 +309,7 @@ public:
   virtual inertial_result optimize_inertial_pose(inertial_request const& request) = 0;
 
   /// Reads a vocabulary, as ft::read_vocabulary(). For set-up: allocates.
-  /// @param expected as require_same() of vocabulary_facts.hpp; nullptr: anything
-  virtual void load_vocabulary(std::string const& path, vocabulary_facts const* expected) = 0;
+  virtual void load_vocabulary(std::string const& path) = 0;
   virtual bool has_vocabulary() const = 0;
   /// Words of a frame's descriptors and the groups of its keypoints; without a vocabulary none.
   /// From any thread, one at a time, beside all other calls but load_vocabulary().

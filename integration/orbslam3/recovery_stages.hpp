@@ -2,7 +2,6 @@
 /// @file Words and relocalisation between ORB-SLAM3's members and the device's arrays.
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -12,7 +11,6 @@
 #include "ft/core/error.hpp"
 #include "integration/orbslam3/frame_exchange.hpp"
 #include "integration/orbslam3/plain_types.hpp"
-#include "integration/orbslam3/vocabulary_facts.hpp"
 
 namespace ft::orbslam3 {
 
@@ -120,22 +118,6 @@ bool put_side(Frame const& frame, word_arrays& to) {
 }
 
 }  // namespace word_detail
-
-/// Of a system's vocabulary, ORBVocabulary.
-template <typename Vocabulary>
-vocabulary_facts facts_of(Vocabulary const& v) {
-  using number = unsigned;
-  return facts_of(
-      {v.getBranchingFactor(), v.getDepthLevels(), static_cast<int>(v.getScoringType()),
-       static_cast<int>(v.getWeightingType()), static_cast<std::size_t>(v.size()), 0, 0},
-      [&](std::size_t w) { return static_cast<double>(v.getWordWeight(static_cast<number>(w))); },
-      [&](std::size_t w) {
-        auto const row = v.getWord(static_cast<number>(w));
-        std::array<std::uint64_t, 4> bits{};
-        if (row.data != nullptr && row.cols == 32) { std::memcpy(bits.data(), row.data, 32); }
-        return bits;
-      });
-}
 
 /// Keypoints of a frame that may have words.
 inline int word_capacity(device_tracker const& device) {

@@ -1,19 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file What ORB-SLAM3's Tracking.h includes: the shim's settings from the members of Tracking, in
-/// one call; its cameras and poses as plain structures, and back.
+/// @file The shim's settings from the members of Tracking; cameras and poses as plain structures,
+/// and back.
 #pragma once
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <cstddef>
-#include <cstring>
-#include <memory>  // of the tracker that Tracking owns
-#include <string>
-#include <type_traits>
 
 #include "ft/core/error.hpp"
 #include "ft/interop/eigen.hpp"
-#include "integration/orbslam3/options.hpp"
 #include "integration/orbslam3/plain_types.hpp"
 
 namespace ft::orbslam3 {
@@ -30,26 +24,6 @@ camera_parameters parameters_of(Camera& camera) {
     p.values[i] = static_cast<float>(camera.getParameter(i));
   }
   return p;
-}
-
-inline constexpr int number_type = 5;  ///< CV_32FC1
-
-/// Reads mK and mDistCoef of a frame.
-/// @return whether the distortion is one that rigs.hpp knows: none, or 4 or 5 coefficients
-template <typename Frame>
-bool read_distortion(Frame const& frame, lens_distortion& d) {
-  d = {};
-  int const n = frame.mDistCoef.rows * frame.mDistCoef.cols;
-  if (n == 0) { return true; }
-  if (frame.mDistCoef.type() != number_type || frame.mK.type() != number_type) { return false; }
-  float k[5] = {};
-  std::memcpy(k, frame.mDistCoef.data, sizeof(float) * static_cast<std::size_t>(n < 5 ? n : 5));
-  if (k[0] == 0) { return true; }
-  if (n < 4 || n > 5) { return false; }
-  float K[9];
-  std::memcpy(K, frame.mK.data, sizeof K);
-  d = {K[0], K[4], K[2], K[5], k[0], k[1], k[2], k[3], k[4]};
-  return true;
 }
 
 /// Of a Sophus::SE3f.
@@ -102,35 +76,26 @@ struct types_of {
   using fisheye_camera = FisheyeCamera;
 };
 
-/// The arguments that Tracking gives to the constructor of ORBextractor, in the same order.
+/// The arguments of the constructor of ORBextractor, in the same order.
 struct extractor_parameters {
   int features = 0;
   float scale_factor = 0;
   int levels = 0;
   int ini_threshold = 0;
   int min_threshold = 0;
-  std::string vocabulary = {};  ///< the file given to System, for front_end; empty: none
-};
-
-/// Tracking's mpCamera, mpCamera2 and mTlr. The last two are used only for two fisheye cameras.
-template <typename Camera, typename Pose>
-struct tracking_cameras {
-  Camera* left;
-  Camera* right;
-  Pose const& T_lr;  ///< right camera to left
-
-  tracking_cameras(Camera* a, Camera* b, Pose const& b_to_a) : left(a), right(b), T_lr(b_to_a) {}
 };
 
 /// @param image the first one, for its size
 /// @param sensor System::eSensor as a number
 /// @param bf Tracking's mbf, unused for monocular
+/// @param left,right Tracking's mpCamera and mpCamera2, the latter of two fisheye cameras alone
+/// @param T_lr Tracking's mTlr, likewise
 /// @tparam Types with fisheye_camera: ORB_SLAM3::KannalaBrandt8
 /// @throws bad_argument
 template <typename Types, typename Image, typename Camera, typename Pose>
 settings settings_of(extractor_parameters const& features, int sensor, Image const& image, float bf,
-                     tracking_cameras<Camera, Pose> const& cameras) {
-  detail::require(cameras.left != nullptr, "there is no camera yet");
+                     Camera* left, Camera* right, Pose const& T_lr) {
+  detail::require(left != nullptr, "there is no camera yet");
   settings s;
   s.width = image.cols;
   s.height = image.rows;
@@ -139,7 +104,7 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
   s.levels = features.levels;
   s.ini_threshold = features.ini_threshold;
   s.min_threshold = features.min_threshold;
-  s.left = parameters_of(*cameras.left);
+  s.left = parameters_of(*left);
   detail::require_range("sensor", sensor, 0, 5);
   // Monocular, stereo, RGB-D; those with an IMU follow in the same order.
   bool const stereo = sensor % 3 == 1;
@@ -151,12 +116,12 @@ settings settings_of(extractor_parameters const& features, int sensor, Image con
   }
   s.bf = bf;
   if (!stereo || s.left.kind == lens::pinhole) { return s; }
-  detail::require(cameras.right != nullptr, "a fisheye pair needs its second camera");
-  s.right = parameters_of(*cameras.right);
-  s.T_rl = transform_of(cameras.T_lr.inverse());
+  detail::require(right != nullptr, "a fisheye pair needs its second camera");
+  s.right = parameters_of(*right);
+  s.T_rl = transform_of(T_lr.inverse());
   for (int i = 0; i < 2; ++i) {
     auto const& fisheye =
-        static_cast<typename Types::fisheye_camera const&>(i == 0 ? *cameras.left : *cameras.right);
+        static_cast<typename Types::fisheye_camera const&>(i == 0 ? *left : *right);
     for (unsigned end = 0; end < 2; ++end) {
       s.overlap[i][end] = static_cast<float>(fisheye.mvLappingArea.at(end));
     }

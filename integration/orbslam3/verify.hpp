@@ -64,45 +64,22 @@ public:
                      right_rows, frame.mDescriptorsRight);
   }
 
-  /// Positions without distortion, compared to the bit. @param cpu Frame::UndistortKeyPoints
-  template <typename Cpu>
-  void undistort(frame_type& frame, Cpu const& cpu) {
-    begin(frame, stage::undistort);
-    compare_both(
-        cpu, [&] { gpu_->undistort(frame); },
-        [&](readings& r) {
-          r.add("number of undistorted keypoints", -1, frame.mvKeysUn.size());
-          for (std::size_t i = 0; i < frame.mvKeysUn.size(); ++i) {
-            r.add("x of undistorted keypoint", static_cast<long>(i), frame.mvKeysUn[i].pt.x);
-            r.add("y of undistorted keypoint", static_cast<long>(i), frame.mvKeysUn[i].pt.y);
-          }
-        });
-  }
-
-  /// The keypoints of each cell, in order; cells are numbered column by column.
-  /// @param cpu Frame::AssignFeaturesToGrid
-  template <typename Cpu>
-  void assign_to_grid(frame_type& frame, Cpu const& cpu) {
-    begin(frame, stage::grid);
-    cpu();
-    auto const left = take_cells(frame.mGrid);
-    auto const right = take_cells(frame.mGridRight);
-    gpu_->assign_to_grid(frame);
-    compare_cells(log_, "cell of the grid", left, frame.mGrid);
-    compare_cells(log_, "cell of the right grid", right, frame.mGridRight);
-  }
-
   /// @param cpu Frame::ComputeStereoMatches or ComputeStereoFishEyeMatches
-  /// @param gpu the accelerator's function for the same
-  template <typename Cpu, typename Gpu>
-  void stereo(frame_type& frame, Cpu const& cpu, Gpu const& gpu) {
+  template <typename Cpu>
+  void stereo(frame_type& frame, Cpu const& cpu) {
     begin(frame, stage::stereo);
-    compare_both(cpu, gpu, [&](readings& r) {
+    auto const read = [&] {
+      readings r;
       r.add("right column", frame.mvuRight, tolerances_.pixels);
       r.add("depth", frame.mvDepth, tolerances_.depth, tolerances_.depth);
       r.add("right partner of left keypoint", frame.mvLeftToRightMatch);
       r.add("left partner of right keypoint", frame.mvRightToLeftMatch);
-    });
+      return r;
+    };
+    cpu();
+    readings const by_cpu = read();
+    gpu_->compute_stereo(frame);
+    log_.compare(by_cpu, read());
   }
 
   /// @param cpu ORBmatcher::SearchByProjection with the same arguments; returns its matches
@@ -201,9 +178,9 @@ public:
   template <typename Cpu>
   int inertial_pose_optimization(frame_type& frame, stage which, Cpu const& cpu) {
     begin(frame, which);
-    int const steps = gpu_->can_optimize_inertial(frame, which)
-                          ? inertial_steps(frame, which == stage::pose_inertial_last_frame)
-                          : 0;
+    bool const from_last = which == stage::pose_inertial_last_frame;
+    int const steps =
+        has_inertial_start(frame, from_last, true) ? inertial_steps(frame, from_last) : 0;
     inertial_trials<frame_type> trials(frame, steps, tolerances_);
     auto kept = trial(
         typename inertial_trials<frame_type>::outcome{},
@@ -303,17 +280,6 @@ private:
       to.add("map point of keypoint", static_cast<long>(i),
              points[i] == nullptr ? -1.0 : static_cast<double>(points[i]->mnId));
     }
-  }
-  /// Of a stage that does not read the map: the CPU runs it once. @param read void(readings&)
-  template <typename Cpu, typename Gpu, typename Read>
-  void compare_both(Cpu const& cpu, Gpu const& on_gpu, Read const& read) {
-    readings by_cpu;
-    readings by_gpu;
-    cpu();
-    read(by_cpu);
-    on_gpu();
-    read(by_gpu);
-    log_.compare(by_cpu, by_gpu);
   }
   void begin(frame_type const& frame, stage s) {
     log_.begin(frame.mnId, s);

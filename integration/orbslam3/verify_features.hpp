@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file Features, grids and words of CPU and GPU, compared.
+/// @file Features and words of CPU and GPU, compared.
 #pragma once
 
 #include <algorithm>
@@ -73,23 +73,6 @@ void compare_lists(difference_log& log, char const* what, long at, List const& c
   if (cpu.size() != gpu.size()) { return log.compare(what, at, cpu.size(), gpu.size()); }
   auto const other = std::mismatch(cpu.begin(), cpu.end(), gpu.begin());
   if (other.first != cpu.end()) { log.compare(what, at, *other.first, *other.second); }
-}
-
-/// Column by column; the grid is left empty.
-template <typename List, std::size_t Columns, std::size_t Rows>
-std::vector<List> take_cells(List (&grid)[Columns][Rows]) {
-  std::vector<List> all;
-  for (auto& column : grid) {
-    for (List& cell : column) { all.push_back(std::exchange(cell, {})); }
-  }
-  return all;
-}
-template <typename List, std::size_t Columns, std::size_t Rows>
-void compare_cells(difference_log& log, char const* what, std::vector<List> const& cpu,
-                   List const (&gpu)[Columns][Rows]) {
-  for (std::size_t c = 0; c < cpu.size(); ++c) {
-    compare_lists(log, what, static_cast<long>(c), cpu[c], gpu[c / Rows][c % Rows]);
-  }
 }
 
 /// Calls compare(key, value of the CPU, value of the GPU) for each key of one of them; the other's

@@ -25,14 +25,14 @@ int track_one_frame() {
       [&] {
         stand_in::camera* const none = nullptr;
         stand_in::se3 const T_lr;
-        ft::orbslam3::tracking_cameras const cameras(&camera, none, T_lr);
-        return ft::orbslam3::settings_of<stand_in::types>(features, 1, image, 50.0f, cameras);
+        return ft::orbslam3::settings_of<stand_in::types>(features, 1, image, 50.0f, &camera, none,
+                                                          T_lr);
       },
       ft::orbslam3::change_detection::hooks);
   stand_in::frame frame;
   bool by_cpu = false;
   ft::orbslam3::extract(
-      gpu.get(), frame, [&] { by_cpu = true; }, image, image);
+      gpu.get(), frame, [&](int, stand_in::matrix const&) { by_cpu = true; }, image, image);
   std::printf("ft %d.%d.%d, C++ %ld, %d keypoints\n", ft::version_major, ft::version_minor,
               ft::version_patch, static_cast<long>(__cplusplus), frame.N);
   return !by_cpu && frame.N > 100 ? 0 : 1;

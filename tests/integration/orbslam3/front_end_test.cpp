@@ -28,15 +28,16 @@
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"
 
-namespace orbslam3_test {
-
-using ft::orbslam3::stage;
-using ft::orbslam3::stage_mode;
-
 /// As a user's header has it.
-struct shim : ft::orbslam3::front_end<stand_in::types> {
+struct stand_in::gpu : ft::orbslam3::front_end<stand_in::types> {
   using ft::orbslam3::front_end<stand_in::types>::front_end;
 };
+
+namespace orbslam3_test {
+
+using shim = stand_in::gpu;
+using ft::orbslam3::stage;
+using ft::orbslam3::stage_mode;
 
 stand_in::matrix shifted_image(int shift) {
   auto const pixels = test::random_image(640, 480, 5);
@@ -61,35 +62,33 @@ protected:
   static stand_in::frame construct_with(shim* gpu, sensor kind, int& by_cpu) {
     auto const s = settings_for(kind);
     ft::orbslam3::accelerator<stand_in::types> cpu(make(s), s);
-    std::vector<stand_in::matrix> left;
-    std::vector<stand_in::matrix> right;
+    stand_in::matrix const left = shifted_image(0);
+    stand_in::matrix const right = shifted_image(9);
+    stand_in::frame own;  // of the CPU
+    own.mnId = 4;
+    cpu.extract(left, right, own);
+    cpu.compute_stereo(own);
     stand_in::steps by;
     by.features = [&](stand_in::frame& f) {
-      ft::orbslam3::extract(
-          gpu, f,
-          [&] {
-            ++by_cpu;
-            cpu.extract(shifted_image(0), shifted_image(9), f);
-            cpu.download_pyramid(0, left);
-            cpu.download_pyramid(1, right);
-          },
-          shifted_image(0), shifted_image(9));
+      auto const extract = [&](int camera, stand_in::matrix const& image) {
+        EXPECT_EQ(image.data, camera == 0 ? left.data : right.data);
+        by_cpu += static_cast<int>(camera == 0);  // two threads
+        (camera == 0 ? f.mvKeys : f.mvKeysRight) = camera == 0 ? own.mvKeys : own.mvKeysRight;
+        (camera == 0 ? f.mDescriptors : f.mDescriptorsRight) =
+            (camera == 0 ? own.mDescriptors : own.mDescriptorsRight).clone();
+        (camera == 0 ? f.monoLeft : f.monoRight) = camera == 0 ? own.monoLeft : own.monoRight;
+      };
+      ft::orbslam3::extract(gpu, f, extract, left, right);
     };
     by.stereo = [&](stand_in::frame& f) {
-      if (kind == sensor::fisheye_stereo) {
-        ft::orbslam3::stereo_fisheye(gpu, f, [&] {
-          ++by_cpu;
-          cpu.compute_stereo_fisheye_matches(f);
-        });
-        return;
-      }
-      ft::orbslam3::stereo(
-          gpu, f,
-          [&] {
-            ++by_cpu;
-            cpu.compute_stereo_matches(f, left, right);
-          },
-          left, right);
+      ft::orbslam3::stereo(gpu, f, [&] {
+        ++by_cpu;
+        f.mvuRight = own.mvuRight;
+        f.mvDepth = own.mvDepth;
+        f.mvLeftToRightMatch = own.mvLeftToRightMatch;
+        f.mvRightToLeftMatch = own.mvRightToLeftMatch;
+        f.mvStereo3Dpoints = own.mvStereo3Dpoints;
+      });
     };
     return stand_in::construct(kind, 4, by);
   }
@@ -111,9 +110,10 @@ TEST_P(front_ends, give_the_same_frame_in_every_mix_with_the_cpu) {
       heard quiet;
       shim gpu(make(s), s, o);
       int by_cpu = 0;
-      gpu.expect_images();
       stand_in::frame const got = construct_with(&gpu, kind, by_cpu);
-      int const expected[] = {0, 1, 1, 2, 2};
+      // Stereo of the CPU's keypoints is the CPU's, and of a rectified pair also the other way
+      // round.
+      int const expected[] = {0, 2, kind == sensor::stereo ? 2 : 1, 2, 2};
       EXPECT_EQ(by_cpu, expected[mix]);
       EXPECT_EQ(alone.mvDepth, got.mvDepth);
       if (mix == 0) { want = got; }
@@ -175,7 +175,7 @@ TEST_P(front_ends, that_lose_the_device_between_features_and_stereo_have_a_frame
   heard said;
   auto device = std::make_unique<watched_device>(make(s));
   device->on_call = [](std::string const& call) {
-    if (call == "match_stereo") { throw ft::cuda_error("ft: the device is lost"); }
+    if (call == "settle") { throw ft::cuda_error("ft: the device is lost"); }
   };
   shim gpu(std::move(device), s, {});
   int by_cpu = 0;
@@ -234,10 +234,7 @@ TEST_P(front_ends, leave_images_that_do_not_fit_to_the_cpu_and_take_the_next_one
         gpu.extract(
             f, [&] { calls = 1; }, pair[0], pair[1]);
         EXPECT_EQ(calls, 1);
-        std::vector<stand_in::matrix> left{pair[0]};
-        std::vector<stand_in::matrix> right{pair[1]};
-        gpu.stereo(
-            f, [&] { calls = 2; }, left, right);
+        gpu.stereo(f, [&] { calls = 2; });
         EXPECT_EQ(calls, 2);
         int by_cpu_next = 0;
         stand_in::frame const next = construct_with(&gpu, sensor::stereo, by_cpu_next);
@@ -318,6 +315,148 @@ TEST_P(front_ends, verify_searches_and_poses_and_keep_the_accelerators_answers) 
   }
 }
 
+/// ORBmatcher and Optimizer with a hook at the beginning of each function.
+struct hooked_system {
+  plain_search plain;
+  stand_in::frame const& last;
+  std::vector<stand_in::map_point*> const& local;
+  int own = 0;  ///< calls of their own code
+
+  int search_last(stand_in::frame& f) {
+    if (auto* gpu = ft::orbslam3::hooked(f)) {
+      return gpu->search_by_projection(f, last, 15, false, [&] { return search_last(f); });
+    }
+    ++own;
+    return plain.search_last(f, last, 15, false);
+  }
+  int optimize(stand_in::frame& f) {
+    if (auto* gpu = ft::orbslam3::hooked(f)) {
+      return gpu->pose_optimization(f, [&] { return optimize(f); });
+    }
+    ++own;
+    return -own;
+  }
+};
+
+TEST_P(front_ends, are_reached_by_hooks_which_let_the_cpus_own_code_pass) {
+  scene s(sensor::stereo, 4);
+  s.settings.most_keypoints = 2000;
+  auto const local = s.local_map();
+  stand_in::extractor extractor(1000, 1.2f, 8, 20, 7);
+  s.current.mpORBextractorLeft = &extractor;
+  for (bool const verify : {false, true}) {
+    heard quiet;
+    ft::orbslam3::options o;
+    o.verify = verify;
+    shim gpu(make(s.settings), s.settings, o);
+    hooked_system with{plain_search(s.settings), s.last, local};
+    stand_in::frame want = s.current;
+    extractor.mpGpu = nullptr;
+    int const n = with.search_last(want);
+    EXPECT_EQ(with.own, 1);
+    extractor.mpGpu = &gpu;
+    stand_in::frame got = s.current;
+    EXPECT_EQ(with.search_last(got), n);
+    EXPECT_EQ(got.mvpMapPoints, want.mvpMapPoints);
+    EXPECT_EQ(with.own, verify ? 3 : 1);  // before and after the accelerator
+    EXPECT_EQ(ft::orbslam3::hooked(got), &gpu);
+    EXPECT_THROW(
+        gpu.search_by_bow(*std::make_unique<stand_in::key_frame>(), got,
+                          *std::make_unique<std::vector<stand_in::map_point*>>(), 0.7f, true,
+                          [&]() -> int {
+                            EXPECT_EQ(ft::orbslam3::hooked(got), nullptr);
+                            throw std::out_of_range("of the CPU's own code");
+                          }),
+        std::out_of_range);
+    EXPECT_EQ(ft::orbslam3::hooked(got), &gpu) << "also after an exception";
+  }
+  stand_in::frame without_extractor;
+  EXPECT_EQ(ft::orbslam3::hooked(without_extractor), nullptr);
+}
+
+/// The search before says which stage a pose is.
+TEST_P(front_ends, tell_the_stage_of_a_pose_by_the_search_before) {
+  scene s(sensor::stereo, 4);
+  s.settings.most_keypoints = 2000;
+  auto const local = s.local_map();
+  for (auto const by_cpu : {stage::pose_last_frame, stage::pose_local_map, stage::pose_keyframe}) {
+    ft::orbslam3::options o;
+    o[by_cpu] = stage_mode::host;
+    shim gpu(make(s.settings), s.settings, o);
+    stand_in::frame f = s.current;
+    auto const pose_is = [&](stage expected) {
+      int asked = 0;
+      gpu.pose_optimization(f, [&] { return ++asked; });
+      EXPECT_EQ(asked == 1, expected == by_cpu) << ft::orbslam3::name_of(expected);
+    };
+    pose_is(stage::pose_keyframe);
+    gpu.search_by_projection(f, s.last, 15, false, [] { return 0; });
+    pose_is(stage::pose_last_frame);
+    gpu.search_local_points(f, local, 1, false, 50, [] { return 0; });
+    pose_is(stage::pose_local_map);
+    pose_is(stage::pose_keyframe);
+    f.mvpMapPoints = s.current.mvpMapPoints;
+    gpu.search_by_projection(f, s.last, 15, false, [] { return 0; });
+    stand_in::key_frame keyframe;
+    std::vector<stand_in::map_point*> matches;
+    gpu.search_by_bow(keyframe, f, matches, 0.7f, true, [] { return 0; });
+    pose_is(stage::pose_keyframe);
+  }
+}
+
+/// Of ORB_SLAM3::Map, Atlas and Tracking.
+struct followed_map {
+  ft::orbslam3::map_changes<stand_in::map_point> mChanges;
+};
+struct followed_atlas {
+  followed_map map;
+  std::vector<followed_map*> GetAllMaps() { return {&map}; }
+};
+class followed_tracking {
+public:
+  int mSensor = 1;
+  std::unique_ptr<stand_in::gpu> mpGpu;
+  std::string mGpuVocabulary;
+
+  followed_tracking(stand_in::extractor* left, followed_atlas* atlas, stand_in::camera* camera)
+      : mpORBextractorLeft(left), mpAtlas(atlas), mpCamera(camera) {}
+
+protected:
+  stand_in::extractor* mpORBextractorLeft;
+  followed_atlas* mpAtlas;
+  float mbf = 45.8f;
+  stand_in::camera* mpCamera;
+  stand_in::camera* mpCamera2 = nullptr;
+  stand_in::se3 mTlr;
+};
+
+TEST(front_end_of_tracking, is_made_at_the_first_image_that_is_not_empty) {
+  heard quiet;
+  stand_in::extractor extractor(700, 1.2f, 8, 20, 7);
+  followed_atlas atlas;
+  stand_in::camera pinhole{0, {458, 457, 317, 243}};
+  followed_tracking tracking(&extractor, &atlas, &pinhole);
+  ft::orbslam3::follow(tracking, stand_in::matrix());
+  EXPECT_EQ(extractor.mpGpu, nullptr);
+  ft::orbslam3::follow(tracking, shifted_image(0));
+  ASSERT_NE(tracking.mpGpu, nullptr) << quiet.text();
+  EXPECT_EQ(extractor.mpGpu, tracking.mpGpu.get());
+  EXPECT_TRUE(tracking.mpGpu->uses(stage::extract)) << quiet.text();
+  EXPECT_FALSE(tracking.mpGpu->uses(stage::pose_local_map)) << "the default";
+  stand_in::frame f;
+  tracking.mpGpu->extract(
+      f, [] { FAIL() << "the CPU is asked"; }, shifted_image(0), shifted_image(9));
+  EXPECT_GT(f.N, 300);
+  EXPECT_LT(f.N, 800);  // the extractor's 700
+  auto const changes = tracking.mpGpu->changes();
+  stand_in::map_point point;
+  atlas.map.mChanges.push(&point);
+  EXPECT_EQ(changes->size(), 1u);
+  changes->forget(&point);
+  ft::orbslam3::follow(tracking, stand_in::matrix());
+  EXPECT_EQ(extractor.mpGpu, tracking.mpGpu.get()) << "it stays";
+}
+
 INSTANTIATE_TEST_SUITE_P(executors, front_ends, ::testing::ValuesIn(executors()), executor_name);
 
 TEST(front_end_at_start, leaves_all_to_the_cpu_where_settings_cannot_be) {
@@ -334,9 +473,7 @@ TEST(front_end_at_start, leaves_all_to_the_cpu_where_settings_cannot_be) {
   int calls = 0;
   gpu.extract(
       f, [&] { ++calls; }, shifted_image(0));
-  std::vector<stand_in::matrix> none;
-  gpu.stereo(
-      f, [&] { ++calls; }, none, none);
+  gpu.stereo(f, [&] { ++calls; });
   EXPECT_EQ(gpu.search_local_points(f, {}, 1, false, 0, [] { return 5; }), 5);
   EXPECT_EQ(calls, 2);
   std::ostringstream text;
@@ -362,9 +499,8 @@ TEST(front_end_at_start, leaves_poses_to_the_cpu_unless_the_environment_says_whi
     std::vector<stage> by_cpu;
   } const cases[] = {
       {nullptr,
-       {stage::pose_last_frame, stage::pose_local_map, stage::pose_reference_keyframe,
-        stage::pose_relocalization, stage::pose_inertial_last_frame,
-        stage::pose_inertial_last_keyframe}},
+       {stage::pose_last_frame, stage::pose_local_map, stage::pose_keyframe,
+        stage::pose_inertial_last_frame, stage::pose_inertial_last_keyframe}},
       {"none", {}},
       {"extract,transform", {stage::extract, stage::transform}},
   };
@@ -410,9 +546,9 @@ protected:
 
   template <typename Camera>
   ft::orbslam3::settings of(int sensor, Camera* left, Camera* right = nullptr) {
-    ft::orbslam3::tracking_cameras const cameras(static_cast<stand_in::camera*>(left),
-                                                 static_cast<stand_in::camera*>(right), T_lr);
-    return ft::orbslam3::settings_of<stand_in::types>(features, sensor, image, 45.8f, cameras);
+    return ft::orbslam3::settings_of<stand_in::types>(features, sensor, image, 45.8f,
+                                                      static_cast<stand_in::camera*>(left),
+                                                      static_cast<stand_in::camera*>(right), T_lr);
   }
 };
 

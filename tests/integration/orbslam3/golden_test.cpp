@@ -93,14 +93,6 @@ void hold(stand_in::frame& f, std::vector<std::int32_t> const& rows, point_list 
     f.mvpMapPoints[i] = rows[i] < 0 ? nullptr : map[static_cast<std::size_t>(rows[i])].get();
   }
 }
-void stereo_of(accelerator& gpu, stand_in::frame& f, bool fisheye) {
-  if (fisheye) {
-    gpu.compute_stereo_fisheye_matches(f);
-  } else {
-    gpu.compute_stereo_matches(f);
-  }
-}
-
 TEST_P(recorded_answers, are_found_from_the_images_features_and_stereo) {
   for_each_sequence([](recorded const& r) {
     accelerator gpu(make(r.settings()), r.settings());
@@ -121,25 +113,7 @@ TEST_P(recorded_answers, are_found_from_the_images_features_and_stereo) {
         EXPECT_EQ(f.monoLeft, want.monoLeft);
         EXPECT_EQ(f.monoRight, want.monoRight);
       }
-      stereo_of(gpu, f, r.fisheye());
-      expect_stereo(f, want, r.fisheye());
-    }
-  });
-}
-
-TEST_P(recorded_answers, of_stereo_are_found_for_frames_that_the_cpu_extracted) {
-  for_each_sequence([](recorded const& r) {
-    accelerator gpu(make(r.settings()), r.settings());
-    for (int k = 0; k < r.frames(); ++k) {
-      SCOPED_TRACE("frame " + std::to_string(k));
-      auto const want = r.frame(k);
-      auto f = r.frame(k, false);
-      if (r.fisheye()) {
-        gpu.compute_stereo_fisheye_matches(f);
-      } else {
-        gpu.compute_stereo_matches(f, std::vector<stand_in::matrix>{r.image(k, 0)},
-                                   std::vector<stand_in::matrix>{r.image(k, 1)});
-      }
+      gpu.compute_stereo(f);
       expect_stereo(f, want, r.fisheye());
     }
   });
@@ -156,8 +130,8 @@ struct frame_pair {
       f = r.frame(i);
       if (!extract) { continue; }
       gpu.extract(r.image(i, 0), r.image(i, 1), f);
-      if (!r.fisheye()) { gpu.undistort(f); }
-      stereo_of(gpu, f, r.fisheye());
+      if (!r.fisheye()) { f.mvKeysUn = f.mvKeys; }
+      gpu.compute_stereo(f);
     }
   }
 };

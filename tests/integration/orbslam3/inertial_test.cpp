@@ -120,19 +120,6 @@ TEST_P(inertial_poses, follow_what_changes_between_calls) {
   EXPECT_TRUE(at.current.mvbOutlier[200]);
 }
 
-TEST_P(inertial_poses, have_statistics_of_their_own) {
-  random_problems const p(sensor::monocular);
-  ft::orbslam3::options o;
-  o.statistics = true;
-  accelerator gpu(make(p.setup.settings), p.setup.settings, o);
-  inertial_moment at(p.setup, p.batch, 7);
-  int const n = gpu.inertial_pose_optimization(at.current, stage::pose_inertial_last_frame);
-  expect_answer(p.batch, 7, at.current, n);
-  std::ostringstream text;
-  ft::orbslam3::print(text, gpu.times());
-  EXPECT_EQ(text.str().find("pose_inertial_last_frame: 1 calls, p50 "), 0u) << text.str();
-}
-
 // ---- frames that are refused --------------------------------------------------------------------
 
 TEST_P(inertial_poses, that_lack_what_they_start_from_are_the_cpus) {

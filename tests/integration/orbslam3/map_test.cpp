@@ -129,7 +129,7 @@ TEST_P(shim_traffic, of_an_extracted_frame_is_its_images_and_then_nothing_of_it)
   f.mnMaxX = 640;
   f.mnMaxY = 480;
   gpu.extract(image, image, f);
-  gpu.compute_stereo_matches(f);
+  gpu.compute_stereo(f);
   ASSERT_GT(f.N, 500);
   EXPECT_EQ(sent.images, 1);
   EXPECT_TRUE(sent.parts.empty());

@@ -158,7 +158,7 @@ private:
     step(5, n);
     return n >= 50;
   }
-  int optimize() { return gpu_.pose_optimization(frame_, stage::pose_relocalization); }
+  int optimize() { return gpu_.pose_optimization(frame_, stage::pose_keyframe); }
   int search(point_set const& found, float th, int farthest) {
     return gpu_.search_keyframe(frame_, candidate().keyframe, found, th, farthest);
   }

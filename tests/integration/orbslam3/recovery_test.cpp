@@ -192,17 +192,6 @@ TEST_P(recovery, is_the_cpus_by_option_and_after_a_failure) {
   EXPECT_FALSE(lost.uses(stage::extract));
 }
 
-TEST_P(recovery, has_statistics) {
-  lost_frame v(sensor::stereo);
-  ft::orbslam3::options o;
-  o.statistics = true;
-  front_end gpu(make(v.settings), v.settings, o);
-  EXPECT_GT(gpu.search_keyframe(v.frame, v.keyframe, point_set{}, 10, 100, never), 0);
-  std::ostringstream times;
-  gpu.print(times);
-  EXPECT_NE(times.str().find("search_keyframe: 1 calls, p50 "), std::string::npos) << times.str();
-}
-
 INSTANTIATE_TEST_SUITE_P(executors, recovery, ::testing::ValuesIn(executors()), executor_name);
 
 }  // namespace recovery_shim

@@ -47,7 +47,7 @@ public:
     return plain_word_search(k, f, 0.75f, true).run(matches);
   }
   int PoseOptimization(stand_in::frame& f) const {
-    return other_->pose_optimization(f, stage::pose_relocalization);
+    return other_->pose_optimization(f, stage::pose_keyframe);
   }
   int SearchByProjection(stand_in::frame& f, stand_in::key_frame const& k,
                          std::set<MapPoint*> const& found, float th, int distance) const {
@@ -119,7 +119,7 @@ private:
       mCurrentFrame.mvpMapPoints[j] = vbInliers[j] ? matches[j] : nullptr;
       if (vbInliers[j]) { sFound.insert(matches[j]); }
     }
-    if (OptimizePose(stage::pose_relocalization) < 10) { return false; }
+    if (OptimizePose(stage::pose_keyframe) < 10) { return false; }
     for (std::size_t j = 0; j < vbInliers.size(); ++j) {
       if (mCurrentFrame.mvbOutlier[j]) { mCurrentFrame.mvpMapPoints[j] = nullptr; }
     }
@@ -128,7 +128,7 @@ private:
       return own_code().SearchByProjection(mCurrentFrame, pKF, sFound, 10, 100);
     });
     EXPECT_GT(nadditional, 0);
-    int const nGood = OptimizePose(stage::pose_relocalization);
+    int const nGood = OptimizePose(stage::pose_keyframe);
     sFound = {mCurrentFrame.mvpMapPoints.begin(), mCurrentFrame.mvpMapPoints.end()};
     nadditional = mpGpu->search_keyframe(mCurrentFrame, pKF, sFound, 3, 64, [&] {
       return own_code().SearchByProjection(mCurrentFrame, pKF, sFound, 3, 64);
@@ -183,7 +183,7 @@ protected:
     EXPECT_NE(summary.str().find("1 frames, 0 with differences"), std::string::npos)
         << summary.str();
     for (char const* const name : {"transform: 1 calls", "search_by_bow: 2 calls",
-                                   "search_keyframe: 2 calls", "pose_relocalization: 2 calls"}) {
+                                   "search_keyframe: 2 calls", "pose_keyframe: 2 calls"}) {
       EXPECT_NE(summary.str().find(name), std::string::npos) << summary.str();
     }
   }

@@ -56,6 +56,7 @@ struct matrix {
     rows = static_cast<int>(r);
   }
   int type() const { return type_; }
+  bool empty() const { return data == nullptr; }
   matrix clone() const {
     matrix m;
     if (data != nullptr) {
@@ -262,6 +263,30 @@ struct key_frame {
   std::vector<map_point*> GetMapPointMatches() const { return points; }
 };
 
+struct gpu;  ///< of the tests that need it
+
+/// Of ORB_SLAM3::ORBextractor.
+class extractor {
+public:
+  gpu* mpGpu = nullptr;
+
+  extractor(int features, float scale_factor, int levels, int ini_threshold, int min_threshold)
+      : nfeatures(features),
+        scaleFactor(static_cast<double>(scale_factor)),
+        nlevels(levels),
+        iniThFAST(ini_threshold),
+        minThFAST(min_threshold) {}
+  int GetLevels() const { return nlevels; }
+  float GetScaleFactor() const { return static_cast<float>(scaleFactor); }
+
+protected:
+  int nfeatures;
+  double scaleFactor;
+  int nlevels;
+  int iniThFAST;
+  int minThFAST;
+};
+
 /// Of ORB_SLAM3::Frame. Its constructors give the members their values: see constructors.hpp.
 struct frame {
   unsigned long mnId = 0;
@@ -297,6 +322,7 @@ struct frame {
   std::vector<float> mvInvScaleFactors;
   std::vector<float> mvLevelSigma2;
   std::vector<float> mvInvLevelSigma2;
+  extractor* mpORBextractorLeft = nullptr;
   // Static in the original.
   float mnMinX = 0, mnMinY = 0, mnMaxX = 0, mnMaxY = 0;
 

@@ -314,7 +314,7 @@ TEST_P(verify_mode, reports_features_and_stereo_that_differ) {
   }
   stand_in::frame want;
   gpu.extract(image, image, want);
-  gpu.compute_stereo_matches(want);
+  gpu.compute_stereo(want);
   ASSERT_GT(want.N, 100);
   stand_in::frame f;
   both.extract(
@@ -369,23 +369,16 @@ TEST_P(verify_mode, reports_features_and_stereo_that_differ) {
   EXPECT_EQ(found[1].what, std::string("keypoint of the GPU alone"));
   EXPECT_EQ(found[1].index, 8);
   auto const before = both.differences();
-  auto const gpu_stereo = [&] { gpu.compute_stereo_matches(f); };
-  both.stereo(
-      f,
-      [&] {
-        f.mvuRight = want.mvuRight;
-        f.mvDepth = want.mvDepth;
-      },
-      gpu_stereo);
+  both.stereo(f, [&] {
+    f.mvuRight = want.mvuRight;
+    f.mvDepth = want.mvDepth;
+  });
   EXPECT_EQ(both.differences(), before);
-  both.stereo(
-      f,
-      [&] {
-        f.mvuRight = want.mvuRight;
-        f.mvDepth = want.mvDepth;
-        f.mvuRight[7] += 0.1f;
-      },
-      gpu_stereo);
+  both.stereo(f, [&] {
+    f.mvuRight = want.mvuRight;
+    f.mvDepth = want.mvDepth;
+    f.mvuRight[7] += 0.1f;
+  });
   EXPECT_EQ(both.differences(), before + 1);
 }
 
@@ -394,18 +387,16 @@ INSTANTIATE_TEST_SUITE_P(executors, verify_mode, ::testing::ValuesIn(executors()
 TEST(shim_options, come_from_the_environment) {
   setenv("FT_ORBSLAM3_HOST", "extract,stereo", 1);
   setenv("FT_ORBSLAM3_BYPASS", "pose_local_map", 1);
-  setenv("FT_ORBSLAM3_STATISTICS", "1", 1);
   setenv("FT_ORBSLAM3_VERIFY", "0", 1);
   setenv("FT_ORBSLAM3_PROJECTED_POINTS", "0", 1);
   auto const o = ft::orbslam3::from_environment();
-  for (char const* name : {"HOST", "BYPASS", "STATISTICS", "VERIFY", "PROJECTED_POINTS"}) {
+  for (char const* name : {"HOST", "BYPASS", "VERIFY", "PROJECTED_POINTS"}) {
     unsetenv((std::string("FT_ORBSLAM3_") + name).c_str());
   }
   EXPECT_EQ(o[stage::extract], stage_mode::host);
   EXPECT_EQ(o[stage::stereo], stage_mode::host);
   EXPECT_EQ(o[stage::search_last_frame], stage_mode::device);
   EXPECT_EQ(o[stage::pose_local_map], stage_mode::bypass);
-  EXPECT_TRUE(o.statistics);
   EXPECT_FALSE(o.verify);
   EXPECT_FALSE(o.fills_projected_points);
 }
@@ -418,52 +409,14 @@ TEST(shim_options, take_all_stages_at_once_and_refuse_unknown_ones) {
   EXPECT_EQ(o[stage::extract], stage_mode::host);
   EXPECT_THROW(ft::orbslam3::set_modes(o, "extract,steero", stage_mode::host), ft::bad_argument);
   EXPECT_THROW(ft::orbslam3::set_modes(o, "extract", stage_mode::bypass), ft::bad_argument);
-  EXPECT_THROW(ft::orbslam3::set_modes(o, "pose_relocalization", stage_mode::bypass),
-               ft::bad_argument);
-  ft::orbslam3::set_modes(o, "pose_reference_keyframe", stage_mode::device);
-  EXPECT_EQ(o[stage::pose_reference_keyframe], stage_mode::device);
-  EXPECT_EQ(o[stage::pose_relocalization], stage_mode::host);
+  EXPECT_THROW(ft::orbslam3::set_modes(o, "pose_keyframe", stage_mode::bypass), ft::bad_argument);
+  ft::orbslam3::set_modes(o, "pose_keyframe", stage_mode::device);
+  EXPECT_EQ(o[stage::pose_keyframe], stage_mode::device);
+  EXPECT_EQ(o[stage::pose_local_map], stage_mode::host);
   ft::orbslam3::set_modes(o, "all,none", stage_mode::bypass);
-  EXPECT_EQ(o[stage::pose_relocalization], stage_mode::host);
+  EXPECT_EQ(o[stage::pose_keyframe], stage_mode::device);
   EXPECT_EQ(o[stage::extract], stage_mode::host);
   EXPECT_EQ(o[stage::pose_last_frame], stage_mode::bypass);
 }
-
-TEST(call_times, know_percentiles) {
-  ft::orbslam3::call_times t;
-  EXPECT_EQ(t.percentile(0.5), 0);
-  for (int i = 0; i < 1000; ++i) { t.add((i * 7919) % 1000 + 1); }
-  for (double const share : {0.01, 0.5, 0.9, 0.99, 1.0}) {
-    EXPECT_EQ(t.percentile(share), 1000 * share) << share;
-  }
-  EXPECT_EQ(t.percentile(0), 1);
-}
-
-class shim_statistics : public on_executor {};
-
-TEST_P(shim_statistics, are_there_when_asked_for) {
-  for (bool const on : {false, true}) {
-    scene s(sensor::stereo, 3);
-    s.settings.most_keypoints = 2000;
-    ft::orbslam3::options o;
-    o.statistics = on;
-    accelerator gpu(make(s.settings), s.settings, o);
-    auto const local = s.local_map();
-    for (int i = 0; i < 3; ++i) { gpu.search_local_points(s.current, local, 1); }
-    auto const& t = gpu.times()[static_cast<std::size_t>(stage::search_local_map)];
-    EXPECT_EQ(t.calls(), on ? 3 : 0);
-    EXPECT_EQ(gpu.times()[static_cast<std::size_t>(stage::extract)].calls(), 0);
-    EXPECT_EQ(t.longest() > 0, on);
-    if (!on) { continue; }
-    std::ostringstream text;
-    ft::orbslam3::print(text, gpu.times());
-    EXPECT_EQ(text.str().find("search_local_map: 3 calls, p50 "), 0u) << text.str();
-    EXPECT_EQ(t.percentile(1), t.longest());
-    EXPECT_LE(t.percentile(0.5), t.percentile(1));
-  }
-}
-
-INSTANTIATE_TEST_SUITE_P(executors, shim_statistics, ::testing::ValuesIn(executors()),
-                         executor_name);
 
 }  // namespace orbslam3_test

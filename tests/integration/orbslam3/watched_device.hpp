@@ -43,18 +43,6 @@ public:
     on_call("wait_for_features");
     to_->wait_for_features();
   }
-  void build_pyramids(ft::gray_view const& left, ft::gray_view const& right) override {
-    on_call("build_pyramids");
-    to_->build_pyramids(left, right);
-  }
-  void match_stereo(int b) override {
-    on_call("match_stereo");
-    to_->match_stereo(b);
-  }
-  void download_level(int image, int level, unsigned char* to, std::size_t stride) override {
-    on_call("download_level");
-    to_->download_level(image, level, to, stride);
-  }
   void send(int b, ft::orbslam3::frame_part part) override {
     on_call("send");
     sent.parts.push_back(part);
@@ -64,7 +52,6 @@ public:
     on_call("settle");
     to_->settle();
   }
-  void prepare_map(int slots) override { to_->prepare_map(slots); }  // from any thread
   void reserve_map(int slots) override {
     on_call("reserve_map");
     to_->reserve_map(slots);
@@ -74,8 +61,6 @@ public:
     sent.map += sizeof *words * change.words();
     to_->change_map(change, words);
   }
-  int local_room() const override { return to_->local_room(); }
-  void prepare_local(int points) override { to_->prepare_local(points); }  // from any thread
   int* local_slots(int points) override {
     on_call("local_slots");
     return to_->local_slots(points);
@@ -85,7 +70,7 @@ public:
     on_call("search_last_frame");
     return to_->search_last_frame(r);
   }
-  ft::orbslam3::points_in_view search_local_map(ft::orbslam3::search_request const& r) override {
+  ft::orbslam3::local_sights search_local_map(ft::orbslam3::search_request const& r) override {
     on_call("search_local_map");
     sent.slots += r.slots_changed ? r.inputs.slots : 0;
     return to_->search_local_map(r);
@@ -108,10 +93,7 @@ public:
     on_call("optimize_inertial_pose");
     return to_->optimize_inertial_pose(r);
   }
-  void load_vocabulary(std::string const& path,
-                       ft::orbslam3::vocabulary_facts const* expected) override {
-    to_->load_vocabulary(path, expected);
-  }
+  void load_vocabulary(std::string const& path) override { to_->load_vocabulary(path); }
   bool has_vocabulary() const override { return to_->has_vocabulary(); }
   ft::orbslam3::word_lists transform_words(ft::orbslam3::descriptor_rows const& rows) override {
     on_call("transform_words");

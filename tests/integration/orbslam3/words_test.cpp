@@ -178,7 +178,6 @@ TEST_P(words, of_keyframes_are_found_by_another_thread_meanwhile) {
   two_views v(sensor::stereo);
   ft::orbslam3::options o;
   o.vocabulary = text();
-  o.statistics = true;
   front_end gpu(make(v.settings), v.settings, o);
   auto want = v;
   want.transform(plain);
@@ -198,10 +197,6 @@ TEST_P(words, of_keyframes_are_found_by_another_thread_meanwhile) {
   }
   mapping.join();
   for (auto const& k : made) { EXPECT_EQ(k.mBowVec, want.keyframe.mBowVec); }
-  std::ostringstream times;
-  gpu.print(times);
-  EXPECT_NE(times.str().find("transform: 24 calls, p50 "), std::string::npos) << times.str();
-  EXPECT_NE(times.str().find("search_by_bow: 12 calls, p50 "), std::string::npos) << times.str();
 }
 
 // ---- the vocabulary's file ----------------------------------------------------------------------
@@ -230,73 +225,6 @@ TEST_P(words, come_from_the_text_and_from_the_binary_form) {
   EXPECT_THROW(transformed(binary), ft::error);
   std::ofstream(path, std::ios::app) << "\n";
   EXPECT_EQ(transformed(path), want.frame.mBowVec);
-}
-
-/// Of ORBVocabulary: what the comparison asks for.
-struct systems_vocabulary {
-  test::plain_vocabulary v;
-  std::vector<std::size_t> node;  ///< of a word
-
-  explicit systems_vocabulary(test::plain_vocabulary const& from) : v(from) {
-    for (std::size_t i = 1; i < v.word.size(); ++i) {
-      if (v.word[i] >= 0) { node.push_back(i); }
-    }
-  }
-  int getBranchingFactor() const { return v.header.branching; }
-  int getDepthLevels() const { return v.header.levels; }
-  int getScoringType() const { return static_cast<int>(v.header.scoring); }
-  int getWeightingType() const { return static_cast<int>(v.header.weighting); }
-  unsigned size() const { return static_cast<unsigned>(node.size()); }
-  double getWordWeight(unsigned w) const { return v.weight[node[w]]; }
-  stand_in::matrix getWord(unsigned w) const {
-    stand_in::matrix m;
-    m.create(1, 32, 0);
-    std::memcpy(m.data, v.orb[node[w]].words, 32);
-    return m;
-  }
-};
-
-TEST_P(words, are_the_cpus_where_the_system_has_another_vocabulary) {
-  two_views v(sensor::stereo);
-  ft::orbslam3::options o;
-  o.vocabulary = text();
-  systems_vocabulary const same(vocabulary);
-  systems_vocabulary with_empty_line = same;  // a word of weight 0 more
-  with_empty_line.node.push_back(with_empty_line.v.weight.size());
-  with_empty_line.v.weight.push_back(0);
-  with_empty_line.v.orb.emplace_back();
-  for (systems_vocabulary const* theirs : {&same, &std::as_const(with_empty_line)}) {
-    heard said;
-    front_end gpu(make(v.settings), v.settings, o, theirs);
-    auto f = v.frame;
-    gpu.compute_bow(f, [] { FAIL() << "the CPU was asked"; });
-    EXPECT_FALSE(f.mBowVec.empty());
-    EXPECT_EQ(said.lines(), 0) << said.text();
-  }
-  std::vector<std::pair<std::string, systems_vocabulary>> others;
-  auto const with = [&](char const* what, auto const& change) {
-    others.emplace_back(what, same);
-    change(others.back().second);
-  };
-  using other_one = systems_vocabulary;
-  with("branching 6, the System's 7", [](other_one& t) { t.v.header.branching = 7; });
-  with("levels 4, the System's 5", [](other_one& t) { t.v.header.levels = 5; });
-  with("scoring ", [](other_one& t) { t.v.header.scoring = ft::word_scoring::dot_product; });
-  with("weighting ", [](other_one& t) { t.v.header.weighting = ft::word_weighting::binary; });
-  with("number of words ", [](other_one& t) { t.node.pop_back(); });
-  with("descriptors ", [](other_one& t) { t.v.orb[t.node[3]].words[7] ^= 1u; });
-  with("weights ", [](other_one& t) { t.v.weight[t.node[3]] *= 1.0000001; });
-  for (auto const& [what, other] : others) {
-    heard said;
-    front_end gpu(make(v.settings), v.settings, o, &other);
-    int calls = 0;
-    auto f = v.frame;
-    gpu.compute_bow(f, [&] { ++calls; });
-    EXPECT_EQ(calls, 1);
-    EXPECT_EQ(said.lines(), 1) << said.text();
-    EXPECT_TRUE(said.has("words.txt' is not the System's: ") && said.has(what)) << said.text();
-    EXPECT_TRUE(gpu.uses(stage::search_by_bow));
-  }
 }
 
 TEST_P(words, without_a_vocabulary_are_the_cpus) {

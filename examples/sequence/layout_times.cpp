@@ -12,7 +12,8 @@ namespace seq::detail {
 namespace {
 
 constexpr char const* accepted_times =
-    "accepted is a line for each image: seconds with a decimal point, or whole seconds, milli-, "
+    "accepted is a line for each image: seconds, one with a decimal point, or whole seconds, "
+    "milli-, "
     "micro- or nanoseconds, or dates such as 2011-09-26 13:02:25.964";
 
 /// Whole numbers, as nanoseconds: seconds to nanoseconds since 1970 by their size, others by their
@@ -49,16 +50,11 @@ std::vector<std::int64_t> whole_times(std::vector<std::int64_t> const& values,
 std::vector<std::int64_t> times_of_texts(std::vector<std::pair<int, std::string>> const& texts,
                                          std::string const& path, std::string& unit,
                                          std::vector<std::string>& warnings) {
-  bool const seconds = texts.front().second.find('.') != std::string::npos;
+  std::vector<stamp_text> stamps;
+  for (auto const& [line, text] : texts) { stamps.push_back(read_stamp(text, path, line)); }
+  bool const seconds = whole_seconds(stamps, path);
   std::vector<std::int64_t> values;
-  for (auto const& [line, text] : texts) {
-    if ((text.find('.') != std::string::npos) != seconds) {
-      fail_at(path, line,
-              "time stamp " + text + (seconds ? " has no" : " has a") +
-                  " decimal point, unlike those before: in seconds or in whole numbers?");
-    }
-    values.push_back(seconds ? seconds_to_ns(text, path, line) : nanoseconds(text, path, line));
-  }
+  for (stamp_text const& s : stamps) { values.push_back(s.value); }
   unit = "seconds";
   return seconds ? values : whole_times(values, path, unit, warnings);
 }

@@ -59,21 +59,43 @@ double median(std::vector<double> values) {
   return *middle;
 }
 
-void stamp_column::add(std::string const& text, int line) {
-  bool const seconds = text.find('.') != std::string::npos;
-  if (values_.empty()) { seconds_ = seconds; }
-  if (seconds != seconds_) {
-    fail_at(path_, line,
-            "time stamp " + trim(text) + (seconds ? " has" : " has no") +
-                " decimal point, unlike those before: seconds or nanoseconds?");
+stamp_text read_stamp(std::string const& text, std::string const& path, int line) {
+  bool const whole = text.find_first_of(".eE") == std::string::npos;
+  return {whole ? nanoseconds(text, path, line) : seconds_to_ns(text, path, line), whole, line};
+}
+
+bool whole_seconds(std::vector<stamp_text>& stamps, std::string const& path) {
+  if (std::all_of(stamps.begin(), stamps.end(), [](auto const& s) { return s.whole; })) {
+    return false;
   }
-  values_.push_back(seconds ? seconds_to_ns(text, path_, line) : nanoseconds(text, path_, line));
-  lines_.push_back(line);
+  constexpr std::int64_t second = 1'000'000'000, most = 4'600'000'000, longest_gap = 3600 * second;
+  std::vector<std::int64_t> ns;  // -1 = is not in seconds
+  for (stamp_text const& s : stamps) {
+    ns.push_back(!s.whole ? s.value : s.value <= most ? s.value * second : -1);
+  }
+  for (std::size_t i = 0; i < stamps.size(); ++i) {
+    if (!stamps[i].whole) { continue; }
+    std::int64_t const before = i > 0 ? ns[i] - ns[i - 1] : largest;
+    std::int64_t const after = i + 1 < ns.size() ? ns[i + 1] - ns[i] : largest;
+    if (ns[i] < 0 || before < 0 || after < 0 || std::min(before, after) > longest_gap) {
+      fail_at(path, stamps[i].line,
+              "time stamp " + std::to_string(stamps[i].value) +
+                  " has no decimal point, unlike others, and is not between its neighbours: "
+                  "seconds or nanoseconds?");
+    }
+  }
+  for (std::size_t i = 0; i < stamps.size(); ++i) { stamps[i] = {ns[i], false, stamps[i].line}; }
+  return true;
 }
 
 std::vector<std::int64_t> stamp_column::times_ns(std::vector<std::string>& warnings) const {
-  std::int64_t const step = seconds_ ? 0 : median_step(values_);
-  if (step == 0 || step > finest_ns_) { return values_; }
+  std::vector<stamp_text> stamps = stamps_;
+  bool const seconds = whole_seconds(stamps, path_);
+  std::vector<std::int64_t> values(stamps.size());
+  std::transform(stamps.begin(), stamps.end(), values.begin(),
+                 [](stamp_text const& s) { return s.value; });
+  std::int64_t const step = seconds ? 0 : median_step(values);
+  if (step == 0 || step > finest_ns_) { return values; }
   struct unit {
     char const* name;
     std::int64_t ns;
@@ -84,9 +106,9 @@ std::vector<std::int64_t> stamp_column::times_ns(std::vector<std::string>& warni
     taken = u;
     if (step > finest_ns_ / u.ns) { break; }
   }
-  std::vector<std::int64_t> times = values_;
+  std::vector<std::int64_t> times = values;
   for (std::int64_t& time : times) {
-    if (time > largest / taken.ns) { return values_; }  // nanoseconds of a fast camera
+    if (time > largest / taken.ns) { return values; }  // nanoseconds of a fast camera
     time *= taken.ns;
   }
   warnings.push_back(path_ + ": time stamps were read as " + taken.name +

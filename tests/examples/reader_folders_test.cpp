@@ -189,6 +189,12 @@ TEST(reader_folders, numbers_need_a_rate_or_a_file_of_times) {
   folder.write("times.txt", "# seconds\n0.5\n0.6\n0.7\n0.8\n0.9\n");
   seq::sequence const listed = seq::sequence::open(folder.path());
   EXPECT_EQ(times_of(listed), (time_list{500'000'000, 600'000'000, 700'000'000, 900'000'000}));
+  folder.write("times.txt", "0\n0.05\n0.1\n1\n1.05\n");
+  EXPECT_EQ(times_of(seq::sequence::open(folder.path())),
+            (time_list{0, 50'000'000, 100'000'000, 1'050'000'000}));
+  folder.write("times.txt", "0\n1\n2\n2.5\n3\n");
+  EXPECT_EQ(times_of(seq::sequence::open(folder.path())),
+            (time_list{0, 1'000'000'000, 2'000'000'000, 3'000'000'000}));
   folder.write("times.txt", "0.5\n0.6\n");
   EXPECT_TRUE(contains(message_of([&] { seq::sequence::open(folder.path()); }),
                        "2 times, must have one for each of 5 images"));

@@ -1010,11 +1010,32 @@ TEST(reader_stamps, units_are_told_apart) {
   seq::sequence const s = seq::sequence::open(folder.path());
   EXPECT_EQ(s.time_ns(1), stamp(1));
   EXPECT_EQ(s.warnings(), std::vector<std::string>{});
-  folder.write("mav0/cam0/data.csv", image_list({"1403715273.262142976", "1403715273"}));
-  EXPECT_TRUE(
-      contains(open_error(folder.path()), "data.csv:3: time stamp 1403715273 has no decimal"));
+  for (char const* other : {"1403715273262142976", "5", "1403715273262"}) {
+    folder.write("mav0/cam0/data.csv", image_list({"1403715273.262142976", other}));
+    EXPECT_TRUE(contains(open_error(folder.path()), "data.csv:3: time stamp " + std::string(other) +
+                                                        " has no decimal point, unlike others"));
+  }
   folder.write("mav0/cam0/data.csv", image_list({"1403715273262.5"}));
   EXPECT_TRUE(contains(open_error(folder.path()), "beyond the limit of 4.6e9 seconds"));
+}
+
+TEST(reader_stamps, whole_seconds_stand_among_decimals) {
+  temp_folder const folder;
+  write_euroc(folder, 4);
+  for (auto const& stamps : {std::vector<std::string>{"0", "0.05", "0.1", "1"},
+                             {"0", "5e-2", "1e-1", "1"},
+                             {"0.0", "0.05", "1E-1", "1"}}) {
+    for (char const* camera : {"cam0", "cam1"}) {
+      folder.write("mav0/" + std::string(camera) + "/data.csv", image_list(stamps));
+    }
+    seq::sequence const s = seq::sequence::open(folder.path());
+    ASSERT_EQ(s.size(), 4);
+    EXPECT_EQ(s.time_ns(0), 0);
+    EXPECT_EQ(s.time_ns(1), 50'000'000);
+    EXPECT_EQ(s.time_ns(2), 100'000'000);
+    EXPECT_EQ(s.time_ns(3), 1'000'000'000);
+    for (std::string const& said : s.warnings()) { EXPECT_FALSE(contains(said, "read as")); }
+  }
 }
 
 TEST(reader_stamps, times_that_are_not_those_of_the_images_are_said) {

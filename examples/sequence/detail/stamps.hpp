@@ -13,6 +13,22 @@ namespace seq::detail {
 /// Stamps of images that differ by no more than this are not in nanoseconds.
 constexpr std::int64_t finest_frame_step_ns = 1'000'000;
 
+/// A time stamp as it was written.
+struct stamp_text {
+  std::int64_t value;  ///< ns of one with a decimal point or an exponent, which is in seconds
+  bool whole;          ///< a whole number, whose unit others say
+  int line;            ///< of the file
+};
+
+/// @throws seq::error naming file and line: not a number, or too large
+stamp_text read_stamp(std::string const& text, std::string const& path, int line);
+
+/// Where some stamps are in seconds, whole numbers among them are, too, and become ns: programs
+/// write 0 and 1 between 0.95 and 1.05. @return whether some are
+/// @throws seq::error naming file and line for a whole number that is not between its neighbours,
+///   or more than an hour from both
+bool whole_seconds(std::vector<stamp_text>& stamps, std::string const& path);
+
 /// The stamps of a file with whole numbers of ns, or with decimal fractions of seconds.
 class stamp_column {
 public:
@@ -20,21 +36,18 @@ public:
   stamp_column(std::string path, std::int64_t finest_ns)
       : path_(std::move(path)), finest_ns_(finest_ns) {}
 
-  /// @throws seq::error naming file and line: not a number, too large, or the first with or without
-  ///   a decimal point
-  void add(std::string const& text, int line);
+  /// @throws seq::error naming file and line: not a number, or too large
+  void add(std::string const& text, int line) { stamps_.push_back(read_stamp(text, path_, line)); }
 
   /// Nanoseconds of each, as added. Whole numbers are nanoseconds, unless their median step says
   /// that they are micro- or milliseconds or seconds; `warnings` says so then.
-  /// @throws seq::error for a time that overflows
+  /// @throws seq::error as whole_seconds()
   std::vector<std::int64_t> times_ns(std::vector<std::string>& warnings) const;
 
 private:
   std::string path_;
   std::int64_t finest_ns_;
-  bool seconds_ = false;
-  std::vector<std::int64_t> values_;
-  std::vector<int> lines_;
+  std::vector<stamp_text> stamps_;
 };
 
 /// Median of the steps above 0 between neighbours; 0 without any. Differences must not overflow.
@@ -74,8 +87,8 @@ bool is_date(std::string const& text);
 /// @throws seq::error naming file and line
 std::int64_t date_to_ns(std::string const& text, std::string const& path, int line);
 
-/// Times, ns, of numbers and texts that all have a decimal point, or none: seconds, or the unit
-/// that their size or their step says. @param texts with their lines in a file; in names of images
+/// Times, ns, of numbers: seconds if one has a decimal point, else in the unit that their size or
+/// their step says. @param texts with their lines in a file; in names of images
 /// any
 /// @param unit is set, for people @throws seq::error
 std::vector<std::int64_t> times_of_texts(std::vector<std::pair<int, std::string>> const& texts,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <iterator>
 #include <string>
 #include <vector>
 
@@ -95,11 +96,62 @@ void warn_of_biases(yaml_file const& file, std::vector<std::string>& warnings) {
   }
 }
 
+/// A camera of the visual navigation course of the Technical University of Munich, whose format is
+/// that of basalt's beginnings: numbers are p1 to p4, of any model.
+camera_intrinsics read_visnav_camera(yaml_file const& camera) {
+  struct numbered_model {
+    char const* name;
+    lens model;
+    int count;
+  };
+  constexpr numbered_model known[] = {{"pinhole", lens::pinhole, 0},
+                                      {"kb4", lens::kannala_brandt, 4},
+                                      {"ds", lens::double_sphere, 2},
+                                      {"eucm", lens::extended_unified, 2}};
+  std::string const type = camera.text("cam_type");
+  auto const* const model = std::find_if(std::begin(known), std::end(known),
+                                         [&](auto const& k) { return k.name == type; });
+  if (model == std::end(known)) {
+    throw error(camera.path() + ": cam_type = " + type + ": must be pinhole, kb4, ds or eucm");
+  }
+  camera_intrinsics result;
+  result.model = model->model;
+  result.fx = camera.number("fx", focal_limits);
+  result.fy = camera.number("fy", focal_limits);
+  result.cx = camera.number("cx", centre_limits);
+  result.cy = camera.number("cy", centre_limits);
+  for (int i = 1; i <= model->count; ++i) {
+    result.distortion.push_back(camera.number("p" + std::to_string(i), coefficient_limits));
+  }
+  result.width = camera.integer("width", side_limits);
+  result.height = camera.integer("height", side_limits);
+  drop_zero_distortion(result);
+  return result;
+}
+
+/// The frame i of T_i_c is the IMU's, or the left camera's where that is at its origin.
+calibration read_visnav(yaml_file const& file, std::string const& path, camera_kind kind) {
+  calibration result;
+  result.rig.left = read_visnav_camera(file.part("cam.intrinsics", 0));
+  result.rig.T_body_left = read_mount(file.part("cam.T_i_c", 0));
+  result.has_body_frame = !result.rig.T_body_left.isApprox(Eigen::Isometry3d::Identity(), 1e-9);
+  if (is_pair(kind)) {
+    result.rig.right = read_visnav_camera(file.part("cam.intrinsics", 1));
+    result.rig.T_left_right =
+        result.rig.T_body_left.inverse() * read_mount(file.part("cam.T_i_c", 1));
+  } else {
+    set_one_camera(result.rig, kind);
+  }
+  check_rig(result.rig, path, kind);
+  return result;
+}
+
 }  // namespace
 
 calibration read_basalt_calibration(std::string const& path, camera_kind kind) {
   yaml_file const whole(path);
   yaml_file const file = whole.part("value0");
+  if (file.has("cam.intrinsics")) { return read_visnav(file, path, kind); }
   bool const pair = is_pair(kind);
   int rows = 0;
   int cols = 0;

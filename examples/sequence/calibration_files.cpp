@@ -156,7 +156,8 @@ std::string find_calibration_file(std::string const& folder) {
 char const* const accepted_calibrations =
     "accepted are Kalibr's chain (cam0, cam1), OpenCV's files in YAML, XML or JSON (of one camera "
     "camera_matrix, distortion_coefficients; of a pair M1, D1, "
-    "M2, D2, R, T), ROS camera_info (left.yaml, right.yaml), basalt's JSON (value0), what "
+    "M2, D2, R, T), ROS camera_info (left.yaml, right.yaml), basalt's and visnav's JSON (value0), "
+    "what "
     "rs-enumerate-devices -c prints, DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, "
     "ORB-SLAM3 settings, EuRoC's cam0/sensor.yaml, KITTI's calib.txt or calib_cam_to_cam.txt, and "
     "of one camera camera.txt "

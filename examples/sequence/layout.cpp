@@ -159,7 +159,7 @@ void add_cameras(calibration& calib, open_options const& options, layout_of_file
   for (std::size_t k = 0; k < count; ++k) {
     std::vector<std::string> const files =
         at_frames(layout.more[k], options.max_time_difference_ns.value_or(most_between_cameras_ns),
-                  "it is black in them, and the others are tracked", layout);
+                  "it misses them, and the others are tracked", layout);
     for (std::size_t i = 0; i < files.size(); ++i) { layout.frames[i].more.push_back(files[i]); }
   }
   add_depths(calib.rig, options, layout);

@@ -62,18 +62,6 @@ image read_checked(std::string const& path, camera_intrinsics const& camera, int
   return picture;
 }
 
-image black(camera_intrinsics const& camera) {
-  auto const pixels =
-      static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
-  return {camera.width, camera.height, std::vector<std::uint8_t>(pixels)};
-}
-
-depth_image no_depths(camera_intrinsics const& camera) {
-  auto const pixels =
-      static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
-  return {camera.width, camera.height, std::vector<std::uint16_t>(pixels)};
-}
-
 /// @param none a depth that means none, beside 0
 depth_image read_checked_depth(std::string const& path, camera_intrinsics const& camera,
                                std::uint16_t none) {
@@ -355,13 +343,12 @@ stereo_frame sequence::load(int i) const {
     if (rectify) { frame.right = rectify->right(frame.right); }
     for (std::size_t k = 0; k < files.more.size(); ++k) {
       camera_intrinsics const& camera = impl_->raw.more[k].camera;
-      frame.more.push_back(files.more[k].empty()
-                               ? black(camera)
-                               : read_checked(files.more[k], camera, impl_->image_bits));
+      frame.more.push_back(
+          files.more[k].empty() ? image() : read_checked(files.more[k], camera, impl_->image_bits));
     }
     for (std::string const& depth : files.depths) {  // all cameras have one size
       frame.depths.push_back(depth.empty()
-                                 ? no_depths(impl_->raw.left)
+                                 ? depth_image()
                                  : read_checked_depth(depth, impl_->raw.left, impl_->no_depth));
     }
   } else if (impl_->kind == camera_kind::rgbd) {

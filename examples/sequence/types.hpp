@@ -6,6 +6,7 @@
 #include <Eigen/Geometry>
 #include <cmath>
 #include <cstdint>
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -116,7 +117,7 @@ struct stereo_frame {
   std::int64_t time_ns = 0;
   image left;
   image right;              ///< of a pair only
-  std::vector<image> more;  ///< of stereo_rig::more; black where a camera has none in this frame
+  std::vector<image> more;  ///< of stereo_rig::more; empty where a camera has none in this frame
   depth_image depth;        ///< of a camera with depth only: registered to `left`, of its size
   std::vector<depth_image> depths;  ///< of stereo_rig::depth_cameras; all 0 where one has none
 };

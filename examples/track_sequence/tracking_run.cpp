@@ -61,14 +61,16 @@ seq::sample_frame sample_of(int index, seq::image picture, std::vector<seen_keyp
   return s;
 }
 
-/// Of whichever images the frame has.
+/// Of whichever images the frame has. Those that cameras miss are null.
 ft::any_images images_of(seq::stereo_frame const& frame) {
   auto const gray = [](seq::image const& i) {
-    return ft::gray_view{i.pixels.data(), i.width, i.height, i.width};
+    return i.pixels.empty() ? ft::gray_view{}
+                            : ft::gray_view{i.pixels.data(), i.width, i.height, i.width};
   };
   ft::any_images images{{gray(frame.left), gray(frame.right)}, {}};
   std::transform(frame.more.begin(), frame.more.end(), images.gray + 2, gray);
   auto const depth = [](seq::depth_image const& i) -> ft::depth_view {
+    if (i.pixels.empty()) { return {}; }
     return ft::image_view<std::uint16_t const>{i.pixels.data(), i.width, i.height, i.width};
   };
   images.depth = depth(frame.depth);

@@ -36,7 +36,8 @@ struct device {
 
 /// The images of a frame of any rig, see odometry: a pair has the left and the right one; a multi
 /// rig those of each camera in turn, of its pairs the left one and then the right one; an rgbd one
-/// the grey and the depth image.
+/// the grey and the depth image. Of a multi rig of several cameras those that one misses in a frame
+/// are null, in their place.
 struct any_images {
   gray_view gray[2 * most_cameras];
   depth_view depth = {};

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _ft
 from .features import ImageFeatures, _frames, _options
-from .rigs import Imu, Rig, _matrix, _two, check_calibration
+from .rigs import Imu, MultiRig, Rig, _matrix, _two, check_calibration
 from .streams import Array, StreamLike, handle_of
 
 
@@ -107,11 +107,11 @@ class Odometry:
             warnings.warn(f"{found.name}: {found.text}", stacklevel=2)
 
     @overload
-    def track(self, *images: Union[Array, int], time_ns: Optional[int] = None,
+    def track(self, *images: Union[Array, int, None], time_ns: Optional[int] = None,
               stream: Optional[StreamLike] = None) -> _ft.Tracking: ...
 
     @overload
-    def track(self, *images: Union[Sequence[Array], Sequence[int]], time_ns: Optional[Sequence[int]] = None,
+    def track(self, *images: Union[Sequence[Optional[Array]], Sequence[int]], time_ns: Optional[Sequence[int]] = None,
               stream: Optional[StreamLike] = None) -> list[_ft.Tracking]: ...
 
     @overload
@@ -128,7 +128,7 @@ class Odometry:
 
         track(left, right, time_ns) of a pair, track(grey, depth, time_ns) of an RgbdCamera, track(image, time_ns) of a
         MonocularCamera, track(image, image, ..., time_ns) of a MultiRig: of each of its cameras in turn, of a pair left and
-        right, of a camera with depth images both. With batch > 1 each of these is a sequence with an item for each rig, and a list is returned.
+        right, of a camera with depth images both; None where a camera has none in this frame, but not all. With batch > 1 each of these is a sequence with an item for each rig, and a list is returned.
 
         Images are (height, width) uint8, rows may be padded; a depth image is uint16 or float32. time_ns: when they were
         taken, an int, nanoseconds; later than the frame before. On a GPU images may lie on the device: anything with
@@ -147,7 +147,7 @@ class Odometry:
                 raise ValueError("track() has no arguments, needs images and time_ns")
             time_ns, images = images[-1], images[:-1]
         single = self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple)))
-        frames = [list(images)] if single else _frames(cast(Sequence[Sequence[Array]], images))
+        frames = [list(images)] if single else _frames(cast(Sequence[Sequence[Optional[Array]]], images))
         times = [time_ns] if single else time_ns
         tracked = self._pipeline.track(frames, times, handle_of(stream))
         if self._doubts_depth and any(t.tracked for t in tracked):

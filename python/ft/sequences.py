@@ -89,12 +89,12 @@ class Frame:
     @property
     def left(self) -> NDArray[np.uint8]:
         """That of the left camera, or of the only one."""
-        return self.images[0]
+        return cast("NDArray[np.uint8]", self.images[0])
 
     @property
     def right(self) -> NDArray[np.uint8]:
         """That of the right camera; of a pair."""
-        return self.images[1]
+        return cast("NDArray[np.uint8]", self.images[1])
 
 
 def _times(values: ArrayLike) -> NDArray[np.int64]:

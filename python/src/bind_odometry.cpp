@@ -434,12 +434,15 @@ private:
       ft::depth_view* next_depth = is_multi_ ? f.depths : &f.depth;
       for (std::size_t i = 0; i < of_rig; ++i) {
         std::string const& name = names_[first + i];
+        bool const missing = is_multi_ && nb::object(h[i]).is_none();
         if (is_depth_[i]) {
-          *next_depth++ = depth_of(kept, h[i], name);
+          ft::depth_view& to = *next_depth++;
+          if (!missing) { to = depth_of(kept, h[i], name); }
         } else {
-          *next = to_ft(kept.framed(h[i], name));
-          require_size(next->width, next->height, name);
-          ++next;
+          ft::gray_view& to = *next++;
+          if (missing) { continue; }
+          to = to_ft(kept.framed(h[i], name));
+          require_size(to.width, to.height, name);
         }
       }
       all.push_back(f);
@@ -544,6 +547,17 @@ void bind_tracking(nb::module_& m) {
             return t.why.reason == ft::tracking_reason::none ? std::string() : t.why.text;
           },
           "the same as a sentence that has the numbers")
+      .def_prop_ro(
+          "missing_images",
+          [](tracking const& t) {
+            std::vector<int> all;
+            for (int i = 0; i < 32; ++i) {
+              if ((t.of.missing_images >> i & 1u) != 0) { all.push_back(i); }
+            }
+            return all;
+          },
+          "images of a MultiRig that were None in this frame: 2 c is that of camera c, 2 c + 1 the "
+          "right one of its rectified pair")
       .def_prop_ro(
           "map_id", [](tracking const& t) { return t.of.map_id; },
           "number of the map that the pose is in, from 1 on; 0 without a map")

@@ -169,6 +169,12 @@ seq::sequence opened(std::string const& folder, nb::dict const& options) {
 }
 
 /// The images of a frame: those of a rig in its order, depths behind their camera's; left and
+/// The array of an image, or None where a camera has none.
+template <typename Image>
+nb::object array_or_none(Image&& image) {
+  return image.pixels.empty() ? nb::none() : nb::object(array_of(std::move(image)));
+}
+
 /// right, one, or one and its depths.
 nb::tuple images_of(seq::sequence const& s, seq::stereo_frame f) {
   nb::object const left = array_of(std::move(f.left));
@@ -177,14 +183,15 @@ nb::tuple images_of(seq::sequence const& s, seq::stereo_frame f) {
     nb::list cameras;
     cameras.append(left);
     cameras.append(array_of(std::move(f.right)));
-    for (seq::image& more : f.more) { cameras.append(array_of(std::move(more))); }
+    for (seq::image& more : f.more) { cameras.append(array_or_none(std::move(more))); }
     std::vector<int> const& with_depth = s.rig().depth_cameras;
     nb::list all;
     for (std::size_t c = 0; c < nb::len(cameras); ++c) {
       all.append(cameras[c]);
       auto const at = std::find(with_depth.begin(), with_depth.end(), static_cast<int>(c));
       if (at == with_depth.end()) { continue; }
-      all.append(array_of(std::move(f.depths[static_cast<std::size_t>(at - with_depth.begin())])));
+      auto const d = static_cast<std::size_t>(at - with_depth.begin());
+      all.append(array_or_none(std::move(f.depths[d])));
     }
     return nb::tuple(all);
   }

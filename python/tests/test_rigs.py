@@ -297,10 +297,14 @@ def test_a_recording_of_a_mixed_rig_is_tracked(walk, tmp_path):
     assert isinstance(sequence.rig, ft.MultiRig) and len(sequence.rig.cameras) == 3 and len(sequence) == frames
     odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, features=400, device="host")
     for i, frame in enumerate(sequence):
-        assert len(frame.images) == 3 and frame.images[2].any() == (i != missing)
+        assert len(frame.images) == 3 and (frame.images[2] is None) == (i == missing)
         pose = odometry.track(*frame.images, frame.time_ns)
         assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
-        assert set(pose.warnings) == ({"dark"} if i == missing else set())
+        assert not pose.warnings and pose.missing_images == ([4] if i == missing else [])
+    with pytest.raises(ValueError, match="all images of the frame are null"):
+        odometry.track(None, None, None, frame.time_ns + 1)
+    with pytest.raises(ValueError, match="must be"):  # a pair has both
+        odometry_of(ft.RectifiedPair(CAMERA, BASELINE)).track(frame.images[0], None, 1)
     assert {0, 2} <= set(odometry.keypoints()["camera"])
 
 
@@ -325,7 +329,7 @@ def test_a_recording_with_a_depth_camera_is_tracked(walk, tmp_path):
         ft.read_sequence(tmp_path, rig="mixed")
     sequence = ft.read_sequence(tmp_path, rig="mixed", depth_unit=0.001)
     assert [c.has_depth for c in sequence.rig.cameras] == [True, False] and sequence.depth_unit == 0.001
-    assert [a.dtype.name for a in sequence[0].images] == ["uint8", "uint16", "uint8"]
+    assert [a.dtype.name for a in sequence[0].images if a is not None] == ["uint8", "uint16", "uint8"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the other camera sees nothing
         odometry = odometry_of(sequence.rig)

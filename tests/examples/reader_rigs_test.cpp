@@ -77,10 +77,8 @@ TEST(reader_rigs, cameras_of_different_lenses_are_taken_as_they_are) {
             (time_list{100'500'000'000, 101'500'000'000, 102'500'000'000, 103'500'000'000}));
   ASSERT_EQ(s.warnings().size(), 1U);
   EXPECT_TRUE(
-      contains(s.warnings()[0], "1 of 4 frames have no image of cam2 within 1 ms: it is black"));
-  seq::image const missing = s.load(1).more[0];
-  EXPECT_EQ(missing.width, 64);
-  EXPECT_EQ(missing.pixels, std::vector<std::uint8_t>(64 * 48));
+      contains(s.warnings()[0], "1 of 4 frames have no image of cam2 within 1 ms: it misses them"));
+  EXPECT_TRUE(s.load(1).more[0].pixels.empty());
   seq::stereo_frame const frame = s.load(2);
   ASSERT_EQ(frame.more.size(), 2U);
   EXPECT_EQ(frame.left.pixels[0], 2);
@@ -175,7 +173,7 @@ TEST(reader_rigs, a_camera_has_the_depth_images_beside_it) {
   EXPECT_TRUE(seq::rig_cameras(s.rig())[2].has_depth);
   ASSERT_EQ(s.load(2).depths.size(), 1U);
   EXPECT_EQ(s.load(2).depths[0].pixels[5], 2002);
-  EXPECT_EQ(s.load(1).depths[0].pixels, std::vector<std::uint16_t>(64 * 48));
+  EXPECT_TRUE(s.load(1).depths[0].pixels.empty());
   ASSERT_EQ(s.warnings().size(), 2U);
   EXPECT_TRUE(contains(s.warnings()[0],
                        "1 of 3 frames have no image of depth2 within 20 ms: its camera has no "

@@ -20,6 +20,7 @@ using changes = ft::image_changes;
 struct arrays {
   ft::image_pyramid_view images;
   ft::image_changes_view changes;
+  unsigned* missing = nullptr;
 };
 
 /// Two images of a rig.
@@ -33,7 +34,11 @@ struct camera {
       : exec(on), width(w), height(h), data([&](ft::carver& c, arrays& v) {
           carve(c, v.images, ft::pyramid_geometry::make(w, h, 1, 1.2f), 2);
           carve(c, v.changes, 2);
+          v.missing = c.take<unsigned>(1);
+          v.changes.missing = v.missing;
+          v.changes.images_of_rig = 2;
         }) {
+    *data.host.missing = 0;
     for (int i = 0; i < 2; ++i) { data.host.changes.begun[i] = 0; }
   }
   /// @param grey of image i at a pixel
@@ -65,6 +70,28 @@ int texture(int x, int y) {
 template <typename Backend>
 class WatchImages : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(WatchImages, test::backends);
+
+TYPED_TEST(WatchImages, GoOnWhereAnImageWasMissing) {
+  TypeParam backend;
+  camera<typename TypeParam::exec_type> gaps(backend.exec, 320, 240);
+  camera<typename TypeParam::exec_type> whole(backend.exec, 320, 240);
+  // Image 0 misses every second frame, and is black there. The other camera has only its frames.
+  for (int frame = 0; frame < 20; ++frame) {
+    bool const missing = frame % 2 == 1;
+    auto const grey = [&](int, int x, int y) { return texture(y >= 160 ? x : x + 31 * frame, y); };
+    *gaps.data.host.missing = missing ? 1u : 0u;
+    gaps.see([&](int i, int x, int y) { return missing && i == 0 ? 0 : grey(i, x, y); });
+    if (!missing) { whole.see(grey); }
+    SCOPED_TRACE(frame);
+    changes const& of = gaps.of(0);
+    EXPECT_EQ(of.fixed, whole.of(0).fixed);
+    EXPECT_EQ(of.textured, missing ? 0 : whole.of(0).textured);
+    EXPECT_EQ(of.moved, missing ? 0 : whole.of(0).moved);
+    EXPECT_EQ(of.sum, missing ? 0 : whole.of(0).sum);
+    EXPECT_GT(gaps.of(1).sum, 0);
+  }
+  EXPECT_EQ(gaps.of(0).fixed, changes::cells / 3);
+}
 
 TYPED_TEST(WatchImages, FindWhatIsFixedWhileTheRestMoves) {
   TypeParam backend;

@@ -171,21 +171,44 @@ TYPED_TEST(mixed_rig_odometry, without_arc_tangents_gives_the_bits_of_the_host) 
   }
 }
 
-TYPED_TEST(mixed_rig_odometry, refuses_a_missing_depth_image_and_rigs_without_depths) {
+TYPED_TEST(mixed_rig_odometry, refuses_depths_of_an_unknown_unit_and_rigs_without_depths) {
   TypeParam backend;
   using odometry = ft::odometry<typename TypeParam::exec_type, rig_type>;
   auto const rig = rig_of({depth_camera(ft::pose::identity())});
   auto const walk = make_mixed_walk(rig, 0, 1);
   odometry odo(backend.exec, rig, test::room::odometry_params(2048));
   auto images = views_of<cameras>(walk[0]);
-  images.depth[0] = {};
-  EXPECT_THROW(odo.track(images, 1), ft::bad_argument);
   std::vector<std::uint16_t> const integers(walk[0].depths[0].size(), 1000);
   images.depth[0] = ft::image_view<std::uint16_t const>{integers.data(), test::room::width,
                                                         test::room::height, test::room::width};
   EXPECT_THROW(odo.track(images, 1), ft::bad_argument) << "the unit is not known";
   EXPECT_THROW(odometry(backend.exec, rig_of(fisheyes(ahead())), test::room::odometry_params(2048)),
                ft::bad_argument);
+}
+
+TYPED_TEST(mixed_rig_odometry, goes_on_while_cameras_miss_images_and_depths) {
+  TypeParam backend;
+  auto const rig = whole();
+  auto const walk = make_mixed_walk(rig, 1, 12);
+  ft::odometry<typename TypeParam::exec_type, rig_type> odo(backend.exec, rig,
+                                                            test::room::odometry_params(8192));
+  std::int64_t time = 0;
+  for (std::size_t f = 0; f < walk.size(); ++f) {
+    auto images = views_of<cameras>(walk[f]);
+    std::uint32_t missing = 0;
+    if (f > 0) {
+      missing = 1u << 2 * (f % cameras);
+      images.of[2 * (f % cameras)] = {};
+      if (f % 2 == 0) { images.depth[5] = {}; }
+    }
+    auto const t = odo.track(images, time += 50'000'000);
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << f;
+    EXPECT_EQ(t.missing_images, missing) << f;
+    EXPECT_LT(error_of(t, walk[f].T_cw, walk[0].T_cw), 0.02) << f;
+  }
+  auto images = views_of<cameras>(walk[0]);
+  for (auto& of : images.of) { of = {}; }
+  EXPECT_THROW(odo.track(images, time + 1), ft::bad_argument);
 }
 
 TEST(mixed_rig, refuses_what_is_no_rig) {

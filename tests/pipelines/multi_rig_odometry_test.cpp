@@ -6,11 +6,13 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <string>
 #include <vector>
 
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/core/error.hpp"
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/multi_rig_walk.hpp"
@@ -128,6 +130,68 @@ TYPED_TEST(multi_rig_odometry, goes_on_while_one_pair_is_black) {
       EXPECT_EQ(seen[f].maps, 1);
       EXPECT_LT(error_of(seen[f].T_world_camera, walk[f].T_cw, walk[0].T_cw), 0.03);
     }
+  }
+}
+
+TYPED_TEST(multi_rig_odometry, goes_on_while_cameras_miss_images) {
+  TypeParam backend;
+  auto const rig = two_pairs();
+  auto const walk = make_walk(rig, 1, 12);
+  auto const black = blackened(walk, 1);
+  using odometry_type = ft::odometry<typename TypeParam::exec_type, ft::multi_rig<2>>;
+  auto params = odometry_params();
+  odometry_type null(backend.exec, rig, params);
+  odometry_type dark(backend.exec, rig, params);
+  params.prefetch = 2;
+  odometry_type ahead(backend.exec, rig, params);
+  auto const given = [&](std::size_t f) {
+    auto images = views_of<odometry_type>(walk[f]);
+    if (f > 0) { images.of[2] = images.of[3] = {}; }
+    return images;
+  };
+  auto const early = test::track_prefetched(ahead, walk.size(), 50'000'000, given);
+  std::int64_t time = 0;
+  for (std::size_t f = 0; f < walk.size(); ++f) {
+    time += 50'000'000;
+    auto const missing = null.track(given(f), time);
+    auto const there = dark.track(views_of<odometry_type>(black[f]), time);
+    EXPECT_EQ(missing.state, ft::tracking_state::tracking) << f;
+    EXPECT_LT(error_of(missing.T_world_camera, walk[f].T_cw, walk[0].T_cw), 0.03) << f;
+    EXPECT_TRUE(test::same(missing, early[f])) << f;
+    EXPECT_EQ(
+        std::memcmp(&missing.T_world_camera, &there.T_world_camera, sizeof there.T_world_camera), 0)
+        << f;
+    EXPECT_EQ(missing.inliers, there.inliers) << f;
+    EXPECT_EQ(missing.missing_images, f > 0 ? 0b1100u : 0u) << f;
+    EXPECT_EQ(missing.evidence.images, f > 0 ? 2 : 4) << f;
+    EXPECT_FALSE(missing.warnings.has(ft::tracking_warning::dark)) << f;
+    EXPECT_EQ(there.warnings.has(ft::tracking_warning::dark), f > 0) << f;
+  }
+  typename odometry_type::images_type const none{};
+  EXPECT_THROW(null.track(none, time + 1), ft::bad_argument);
+  odometry_type blind(backend.exec, rig, odometry_params());
+  auto one_image = views_of<odometry_type>(walk[0]);
+  one_image.of[0] = one_image.of[2] = one_image.of[3] = {};
+  auto const why = ft::explain(blind.track(one_image, 1));
+  EXPECT_EQ(why.reason, ft::tracking_reason::images_missing) << why.text;
+  EXPECT_NE(why.text.find("image 0, image 2, image 3"), std::string::npos) << why.text;
+}
+
+TYPED_TEST(multi_rig_odometry, goes_on_while_images_are_missing_by_turns) {
+  TypeParam backend;
+  auto const rig = two_pairs();
+  auto const walk = make_walk(rig, 0, 16);
+  using odometry_type = ft::odometry<typename TypeParam::exec_type, ft::multi_rig<2>>;
+  odometry_type odo(backend.exec, rig, odometry_params());
+  std::int64_t time = 0;
+  for (std::size_t f = 0; f < walk.size(); ++f) {
+    auto images = views_of<odometry_type>(walk[f]);
+    if (f > 0) { images.of[f % 4] = {}; }
+    auto const t = odo.track(images, time += 50'000'000);
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << f;
+    EXPECT_EQ(t.maps, 1) << f;
+    EXPECT_TRUE(t.warnings.empty()) << f << " " << t.warnings.bits;
+    EXPECT_LT(error_of(t.T_world_camera, walk[f].T_cw, walk[0].T_cw), 0.02) << f;
   }
 }
 

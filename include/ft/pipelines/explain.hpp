@@ -3,6 +3,7 @@
 /// its IMU is, and why.
 #pragma once
 
+#include <cstdint>
 #include <cstdio>
 #include <string>
 
@@ -29,6 +30,7 @@ enum class tracking_reason : int {
   no_depth,             ///< hardly any keypoint finds a depth in the depth image
   stereo_inconsistent,  ///< hardly any keypoint has a stereo match: images exchanged, or the
                         ///< calibration is another one's
+  images_missing,       ///< cameras of a rig gave no image, and the others see too little
   few_depths,           ///< too few keypoints have a depth to begin a map
   awaits_motion,        ///< one camera: the map begins when the camera has moved sideways
   images_repeat,        ///< images are those of the frame before while the IMU moves
@@ -48,6 +50,7 @@ inline char const* name_of(tracking_reason reason) {
                                    "blurred",
                                    "no_depth",
                                    "stereo_inconsistent",
+                                   "images_missing",
                                    "few_depths",
                                    "awaits_motion",
                                    "images_repeat",
@@ -97,6 +100,16 @@ inline tracking_explanation explain_light(tracking const& t, explanation_limits 
                                               one_decimal(t.light.deviation) + " from their mean"};
   }
   return {};
+}
+
+/// Which images of a rig were not given: "image 0, image 3".
+inline std::string missing_text(std::uint32_t missing) {
+  std::string all;
+  for (int i = 0; i < 32; ++i) {
+    if ((missing >> i & 1u) == 0) { continue; }
+    all += (all.empty() ? "image " : ", image ") + std::to_string(i);
+  }
+  return all;
 }
 
 /// "12 of 800 keypoints"
@@ -187,6 +200,12 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
   if (few_keypoints || few_depths) {
     auto light = detail::explain_light(t, limits);
     if (light.reason != tracking_reason::none) { return light; }
+    if (t.missing_images != 0) {
+      return {tracking_reason::images_missing,
+              "the frame came without " + detail::missing_text(t.missing_images) + ": only " +
+                  std::to_string(t.keypoints) + " keypoints, " + std::to_string(t.stereo_points) +
+                  " with a depth"};
+    }
   }
   if (few_keypoints) {
     return {tracking_reason::blurred,

@@ -70,7 +70,8 @@ struct stereo_images {
 };
 
 /// The same of a multi_rig: image 2 c is that of camera c, image 2 c + 1 the right one of its pair,
-/// not read for a single camera.
+/// not read for a single camera. An image whose data is null is missing in this frame; a
+/// multi_rig<1> needs both of its pair.
 template <int N>
 struct rig_images {
   gray_view of[N];
@@ -79,7 +80,7 @@ struct rig_images {
 };
 
 /// The same of a mixed_rig: image 2 c + 1 only of a rectified pair, and the depth images of the
-/// cameras that have one, as in rgbd_images.
+/// cameras that have one, as in rgbd_images. An image whose data is null is missing in this frame.
 template <int N>
 struct mixed_images {
   gray_view of[2 * N];

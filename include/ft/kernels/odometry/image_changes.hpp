@@ -58,8 +58,15 @@ struct image_changes_view {
   std::uint8_t* last = nullptr;           ///< [images][samples][cells] of the last frame
   std::uint8_t* frames = nullptr;  ///< [images][cells] in which a cell was still and others not
   int* begun = nullptr;            ///< [images] 1 = there was a frame
+  /// [rigs] bit i: image i of a rig is not there in this frame; null = all are there
+  unsigned const* missing = nullptr;
+  int images_of_rig = 1;
   static constexpr int sampled = image_changes::samples * image_changes::cells;
 
+  FT_HOST_DEVICE bool is_missing(int image) const {
+    return missing != nullptr &&
+           (missing[image / images_of_rig] >> image % images_of_rig & 1u) != 0;
+  }
   /// Whether a pixel of an image belongs to what is fixed to the camera.
   /// @param sure only if it has been so for long
   FT_HOST_DEVICE bool is_fixed(int image, float x, float y, int width, int height,
@@ -123,7 +130,7 @@ struct compare_cells {
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, image_pyramid_view const& images,
                                  image_changes_view const& v) const {
     int const i = item / image_changes::rows;
-    if (images.absent.has(i)) { return; }
+    if (images.absent.has(i) || v.is_missing(i)) { return; }
     auto const image = images.level(i, 0);
     bool const first = v.begun[i] == 0;
     row_changes row{};
@@ -245,6 +252,13 @@ struct judge_changes {
       if (g.rank() == 0) { out = {}; }
       return;
     }
+    if (v.is_missing(i)) {  // the next one is compared with the last that was there
+      if (g.rank() == 0) {
+        out.textured = out.moved = out.still = out.same = 0;
+        out.sum = out.squares = out.streaked = 0;
+      }
+      return;
+    }
     row_changes const* const rows = v.of_row + static_cast<std::ptrdiff_t>(i) * image_changes::rows;
     row_changes all{};
     for (int r = g.rank(); r < image_changes::rows; r += g.size()) {
@@ -308,8 +322,8 @@ private:
 
 }  // namespace detail
 
-/// Compares every image with those before it. Asynchronous on `exec`; allocates nothing; two
-/// launches.
+/// Compares every image that is there with those before it. Asynchronous on `exec`; allocates
+/// nothing; two launches.
 /// @param images level 0 is read
 template <typename Exec>
 void watch_images(Exec const& exec, image_pyramid_view const& images, image_changes_view const& v) {

@@ -118,6 +118,7 @@ struct read_rig_depth {
     mixed_rig_camera const& camera = rig.of[entry % N];
     keypoints_view const of = keypoints.slice(2 * entry);
     if (!camera.has_depth_image || i >= *of.count) { return; }
+    if (images.of[entry].data == nullptr) { return; }  // not in this frame
     int const octave = of.octave(i);
     float const x = geometry.column(of.x(i), octave);
     float const y = geometry.row(of.y(i), octave);
@@ -165,7 +166,7 @@ void refine_pair(Exec const& exec, any_pair const& rig, pair_of_rig const& pair,
 
 /// Depths and virtual right columns of the keypoints of the cameras with a depth image; of the
 /// others they stay. Asynchronous on `exec`; allocates nothing; one launch.
-/// @param images batch entry N b + c is that of camera c of rig b
+/// @param images batch entry N b + c is that of camera c of rig b; null = none in this frame
 /// @param out [N b + c][capacity]
 template <typename Exec, int N>
 void read_rig_depths(Exec const& exec, mixed_rig<N> const& rig, pyramid_geometry const& geometry,

@@ -55,6 +55,23 @@ inline void require_size(char const* name, image_size given, image_size wanted) 
                      "x" + std::to_string(wanted.height));
 }
 
+/// The images of a frame of a rig of several cameras, each of which may miss one.
+/// @throws bad_argument for an image of another size, or if there is none
+template <typename Images, typename Given>
+void take_some(Images& images, int b, int count, Given const& given) {
+  bool any = false;
+  for (int i = 0; i < count; ++i) { any = any || given[i].data != nullptr; }
+  require(any, "all images of the frame are null: a rig needs one of its cameras' images");
+  for (int i = 0; i < count; ++i) {
+    if (images.absent(images.number(b, i))) { continue; }
+    if (given[i].data == nullptr) {
+      images.leave_out(b, i);
+    } else {
+      images.take(b, i, given[i]);
+    }
+  }
+}
+
 /// Staging memory for the images of rigs, and the address from which frames fetch each image: that
 /// memory, or a buffer of the caller. Images that no camera has are never fetched.
 template <typename Exec>
@@ -78,6 +95,7 @@ public:
     });
     std::memset(memory_->pixels, 0, n * image_bytes());
     given_.assign(n, false);
+    missing_.assign(static_cast<std::size_t>(batch), 0);
     for (int i = 0; i < images_ * batch; ++i) {
       memory_->sources[i] = {};
       if (!absent.has(i)) { use_own_memory(i); }
@@ -101,7 +119,7 @@ public:
     require(data != nullptr && Exec::host_address(last) != nullptr,
             "the device cannot read a borrowed image: is its memory pinned?");
     memory_->sources[number(b, camera)] = {data, image.stride};
-    given_[static_cast<std::size_t>(number(b, camera))] = true;
+    mark_given(b, camera);
   }
   /// borrow(), where the executor can read the pixels in place, otherwise set(). Unlike borrow() it
   /// asks for no readable bytes past a row's last pixel.
@@ -116,13 +134,20 @@ public:
       return;
     }
     memory_->sources[number(b, camera)] = {static_cast<std::uint8_t const*>(from), image.stride};
-    given_[static_cast<std::size_t>(number(b, camera))] = true;
+    mark_given(b, camera);
   }
   std::uint8_t* staged(int b, int camera) {
     require_camera(b, camera);
-    given_[static_cast<std::size_t>(number(b, camera))] = true;
+    mark_given(b, camera);
     return use_own_memory(number(b, camera));
   }
+  /// The camera has no image in this frame: a black one stands for it.
+  void leave_out(int b, int camera) {
+    std::memset(staged(b, camera), 0, image_bytes());
+    missing_[static_cast<std::size_t>(b)] |= 1u << camera;
+  }
+  /// Bit i: image i of rig b is one that was left out.
+  std::uint32_t missing(int b) const { return missing_[static_cast<std::size_t>(b)]; }
 
   /// @throws bad_argument
   void require_camera(int b, int camera) const {
@@ -163,6 +188,10 @@ private:
   std::size_t image_bytes() const {
     return static_cast<std::size_t>(stride_) * static_cast<std::size_t>(height_);
   }
+  void mark_given(int b, int camera) {
+    given_[static_cast<std::size_t>(number(b, camera))] = true;
+    missing_[static_cast<std::size_t>(b)] &= ~(1u << camera);
+  }
   std::uint8_t* use_own_memory(int image) {
     std::uint8_t* const data = memory_->pixels + static_cast<std::size_t>(image) * image_bytes();
     memory_->sources[image] = {data, stride_};
@@ -194,6 +223,7 @@ private:
   int images_ = 0;  ///< of a rig
   owner<staged_images, staging> memory_;
   std::vector<bool> given_;
+  std::vector<std::uint32_t> missing_;  ///< [batch]
   absent_images absent_;
 };
 

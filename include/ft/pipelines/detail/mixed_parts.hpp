@@ -46,17 +46,19 @@ public:
   frame_images<Exec> const& images() const { return images_; }
   depth_sources_view depths() const { return depths_.view(); }
   allocated_bytes allocated() const { return images_.allocated() + depths_.allocated(); }
-  /// @throws bad_argument for an image that is null or of another size
+  /// @throws bad_argument for an image of another size; null means that the camera has none
   void take(int b, images_type const& given) {
+    auto const has_depth = [&](int c) { return number_[c] >= 0 && given.depth[c].data != nullptr; };
     for (int c = 0; c < N; ++c) {
-      if (number_[c] >= 0) { depths_.require_depth(given.depth[c], scaled_[c]); }
+      if (has_depth(c)) { depths_.require_depth(given.depth[c], scaled_[c]); }
     }
-    for (int i = 0; i < 2 * N; ++i) {
-      if (!images_.absent(images_.number(b, i))) { images_.take(b, i, given.of[i]); }
-    }
+    take_some(images_, b, 2 * N, given.of);
     for (int c = 0; c < N; ++c) {
-      if (number_[c] < 0) { continue; }
-      depths_.take(N * b + c, depth_cameras_ * b + number_[c], given.depth[c]);
+      if (has_depth(c)) {
+        depths_.take(N * b + c, depth_cameras_ * b + number_[c], given.depth[c]);
+      } else if (number_[c] >= 0) {
+        depths_.leave_out(N * b + c);
+      }
     }
   }
   /// Enqueues the copy of the images, and of the places of the depth images.

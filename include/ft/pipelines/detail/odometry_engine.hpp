@@ -192,7 +192,7 @@ struct odometry_engine {
   /// Runs a frame and waits for its outputs; not for its keyframe, which enters the map meanwhile,
   /// unless a part needs it. @param time_ns [batch]
   tracking const* track(std::int64_t const* time_ns, frame_extent extent) {
-    set_inputs(time_ns);
+    set_inputs(time_ns, extent);
     adjustments.end_before(exec, frame);
     frame_launches& now = launches_of(extent);
     now.graph.replay(exec, [&](Exec const& e) { queue(e, extent); });
@@ -270,7 +270,7 @@ private:
     stages.plugged.insert(at, std::move(part));
   }
 
-  void set_inputs(std::int64_t const* time_ns) {
+  void set_inputs(std::int64_t const* time_ns, frame_extent extent) {
     if (stamp > std::numeric_limits<int>::max() - 4) {
       stages.forget_frame_numbers(exec);
       stamp = 0;
@@ -279,6 +279,8 @@ private:
     for (int b = 0; b < stages.batch; ++b) {
       stages.own.inputs[b].time_ns = time_ns[b];
       stages.own.inputs[b].stamp = stamp;
+      bool const has_images = extent != frame_extent::given;
+      stages.own.missing[b] = has_images ? stages.input.images().missing(b) : 0;
       stages.own.outputs[b].complete = 0;
       auto const i = static_cast<std::size_t>(b);
       for (auto const& p : stages.plugged) {
@@ -296,6 +298,7 @@ private:
       results[i] = tracking_of(stages.own.outputs[b]);
       results[i].depths = depths_of(rig);
       results[i].evidence.rectified = Rig::rectified;
+      results[i].missing_images = stages.own.missing[b];
       results[i].metric = !stages_type::starts_from_motion;
       results[i].T_odom_camera = results[i].T_world_camera;
       for (auto const& p : stages.plugged) { p->describe(b, time_ns[b], results[i]); }

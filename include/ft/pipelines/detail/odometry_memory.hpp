@@ -102,6 +102,7 @@ struct odometry_memory {
   int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
   float* information = nullptr;        ///< [batch][information_terms]
   odometry_input* inputs = nullptr;    ///< [batch] staging memory, which a device reads
+  unsigned* missing = nullptr;         ///< [batch] likewise; bit i: image i of the rig
   odometry_output* outputs = nullptr;  ///< [batch] staging memory, which a device writes
   unsigned char* matched = nullptr;    ///< [batch][numbers] staging memory, likewise
   int* staged_selected = nullptr;      ///< [runs][batch] staging memory
@@ -138,6 +139,7 @@ struct odometry_memory {
     });
     staging_memory_ = arena<staging>([&](carver& c) {
       inputs = c.take<odometry_input>(b);
+      missing = c.take<unsigned>(b);
       outputs = c.take<odometry_output>(b);
       matched = c.take<unsigned char>(numbers);
       staged_selected = c.take<int>(b * static_cast<std::size_t>(runs));
@@ -147,6 +149,11 @@ struct odometry_memory {
     std::memset(staging_memory_.data(), 0, staging_memory_.bytes());
   }
 
+  /// From now on frames may miss images: `missing` says which.
+  void may_miss_images() {
+    changes.missing = missing;
+    changes.images_of_rig = images_;
+  }
   /// Empty maps, and cameras that have seen nothing.
   void initialize(Exec const& exec) {
     auto const b = static_cast<std::size_t>(state.batch);

@@ -50,7 +50,7 @@ FT_HOST_DEVICE inline light_sums least_contrast(image_changes_view const& change
   light_sums least;
   std::int64_t smallest = 0;
   for (int i = 0; i < images; ++i) {
-    if (absent.has(b * images + i)) { continue; }
+    if (absent.has(b * images + i) || changes.is_missing(b * images + i)) { continue; }
     image_changes const& of = changes.of[b * images + i];
     auto const spread =
         std::int64_t{light_sums::samples} * of.squares - std::int64_t{of.sum} * of.sum;
@@ -66,7 +66,7 @@ FT_HOST_DEVICE inline change_counts count_changes(image_changes_view const& chan
                                                   absent_images const& absent, int b) {
   change_counts n;
   for (int i = 0; i < images; ++i) {
-    if (absent.has(b * images + i)) { continue; }
+    if (absent.has(b * images + i) || changes.is_missing(b * images + i)) { continue; }
     image_changes const& of = changes.of[b * images + i];
     ++n.images;
     n.same += of.same;

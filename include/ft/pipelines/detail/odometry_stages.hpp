@@ -302,6 +302,7 @@ public:
   void take_all_memory(Exec const& exec, int runs) {
     base::take_memory(input.images().sources());
     own.take(frame_shape::of<Rig>(this->capacity(), this->batch), settings, runs);
+    if constexpr (Rig::images > 2 || is_mixed_v<Rig>) { own.may_miss_images(); }
     if constexpr (starts_from_motion) {
       beginning.take(exec, this->rig, settings.start, own.map.keyframes,
                      memory.frame.grids.geometry);

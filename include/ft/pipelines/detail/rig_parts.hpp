@@ -36,10 +36,15 @@ public:
 
   frame_images<Exec> const& images() const { return images_; }
   allocated_bytes allocated() const { return images_.allocated(); }
-  /// @throws bad_argument for an image that is null or of another size
+  /// @throws bad_argument for an image that is null or of another size; of a rig of several cameras
+  ///   null means that the camera has none
   void take(int b, images_type const& given) {
-    for (int i = 0; i < Rig::images; ++i) {
-      if (!images_.absent(images_.number(b, i))) { images_.take(b, i, given[i]); }
+    if constexpr (Rig::images > 2) {
+      take_some(images_, b, Rig::images, given);
+    } else {
+      for (int i = 0; i < Rig::images; ++i) {
+        if (!images_.absent(images_.number(b, i))) { images_.take(b, i, given[i]); }
+      }
     }
   }
   /// Enqueues the copy of the images into level 0 of the pyramids.

@@ -136,11 +136,12 @@ std::string left_out_line(sequence const& s) {
 }  // namespace
 
 std::vector<description_line> describe(sequence const& s, bool imu_asked_for) {
-  std::vector<description_line> lines = {{"sequence", layout_line(s)},
-                                         {"cameras", cameras_line(s)},
-                                         {"images", images_line(s)},
-                                         {"imu", imu_line(s, imu_asked_for)},
-                                         {"truth", truth_line(s)}};
+  std::vector<description_line> lines = {
+      {"sequence", layout_line(s)},
+      {"cameras", cameras_line(s) + (s.masked() ? "; masks" : "")},
+      {"images", images_line(s)},
+      {"imu", imu_line(s, imu_asked_for)},
+      {"truth", truth_line(s)}};
   std::string const left_out = left_out_line(s);
   if (!left_out.empty()) { lines.push_back({"left out", left_out}); }
   return lines;

@@ -12,6 +12,7 @@
 #include "examples/sequence/calibration.hpp"
 #include "examples/sequence/detail/calibration_checks.hpp"
 #include "examples/sequence/detail/layout.hpp"
+#include "examples/sequence/detail/masks.hpp"
 #include "examples/sequence/detail/recording_checks.hpp"
 #include "examples/sequence/detail/text.hpp"
 #include "examples/sequence/evaluation.hpp"
@@ -37,6 +38,7 @@ struct sequence::impl {
   std::string depth_unit_from;
   std::optional<rectifier> rectify;
   std::vector<detail::frame_files> frames;
+  std::vector<detail::camera_masks> masks;  ///< of the cameras, or empty
   unpaired_images unpaired;
   trajectory truth;
   bool has_orientation = false;
@@ -47,6 +49,7 @@ struct sequence::impl {
   void set_depth_unit(detail::layout_of_files const& files, calibration const& calib,
                       open_options const& options);
   void set_image_bits(open_options const& options);
+  void open_masks(std::vector<std::string> const& paths);
 };
 
 namespace {
@@ -214,6 +217,29 @@ void sequence::impl::set_depth_unit(layout_of_files const& files, calibration co
   depth_unit_from = std::move(unit.from);
 }
 
+void sequence::impl::open_masks(std::vector<std::string> const& paths) {
+  std::size_t const cameras =
+      kind != camera_kind::stereo ? 1 : 2 + (mixed ? raw.more.size() : std::size_t{0});
+  if (paths.size() > cameras) {
+    throw error(name + ": " + std::to_string(paths.size()) + " masks, for " +
+                std::to_string(cameras) + (cameras == 1 ? " camera" : " cameras"));
+  }
+  for (std::size_t c = 0; c < paths.size(); ++c) {
+    std::vector<std::string> images;
+    for (detail::frame_files const& f : frames) {
+      images.push_back(c == 0 ? f.left : c == 1 ? f.second : f.more[c - 2]);
+    }
+    detail::camera_masks::move_image move;
+    if (rectify) {
+      move = [r = &*rectify, c](image const& i) { return c == 0 ? r->left(i) : r->right(i); };
+    }
+    camera_intrinsics const& camera = c == 0   ? raw.left
+                                      : c == 1 ? raw.right
+                                               : raw.more[c - 2].camera;
+    masks.emplace_back(paths[c], images, camera, std::move(move), warnings);
+  }
+}
+
 /// Sensors of 10 to 14 bits are often stored in 16 without being scaled. That is said, not assumed:
 /// the images that were not looked at may be brighter.
 void sequence::impl::set_image_bits(open_options const& options) {
@@ -305,6 +331,7 @@ sequence sequence::open(std::string const& directory, open_options const& option
     p->frames.resize(static_cast<std::size_t>(options.max_frames));
   }
   p->set_image_bits(options);
+  p->open_masks(options.masks);
   return sequence(std::move(p));
 }
 
@@ -320,6 +347,10 @@ std::vector<std::string> const& sequence::warnings() const { return impl_->warni
 bool sequence::fisheye() const { return impl_->fisheye; }
 bool sequence::mixed() const { return impl_->mixed; }
 bool sequence::has_body_frame() const { return impl_->has_body_frame; }
+bool sequence::masked() const {
+  return std::any_of(impl_->masks.begin(), impl_->masks.end(),
+                     [](auto const& m) { return !m.empty(); });
+}
 unpaired_images sequence::unpaired() const { return impl_->unpaired; }
 orb_settings const& sequence::settings() const { return impl_->settings; }
 int sequence::size() const { return static_cast<int>(impl_->frames.size()); }
@@ -336,6 +367,9 @@ stereo_frame sequence::load(int i) const {
   frame.time_ns = time_ns(i);
   detail::frame_files const& files = impl_->frames[static_cast<std::size_t>(i)];
   auto const& rectify = impl_->rectify;
+  for (detail::camera_masks const& m : impl_->masks) {
+    frame.masks.push_back(m.of(static_cast<std::size_t>(i)));
+  }
   frame.left = read_checked(files.left, impl_->raw.left, impl_->image_bits);
   if (rectify) { frame.left = rectify->left(frame.left); }
   if (impl_->kind == camera_kind::stereo) {

@@ -66,6 +66,11 @@ struct open_options {
   /// Bits that hold the samples of 16-bit images of one channel, 8 to 16; 0 = 16, with a warning
   /// where up to eight images of each camera have none of 2^14 or more. Depth images have all 16.
   int image_bits = 0;
+  /// Of each camera in turn, left, right, cam2 ...: an image that is 0 where no keypoints are
+  /// wanted, or a folder with one for each frame that has the name of the camera's image. They have
+  /// the size of the images on disk, and are rectified with them. Empty text = none; cameras after
+  /// the last one have none.
+  std::vector<std::string> masks;
   /// Images a second, 1e-3 to 1e5, of plain folders whose file names are no times, of 7-Scenes, and
   /// of ICL-NUIM, whose stamps count frames; 0 = the names, or the file that has the times, say it;
   /// 7-Scenes has 30.
@@ -130,6 +135,7 @@ public:
   /// not among them.
   std::vector<std::string> const& warnings() const;
   bool has_body_frame() const;  ///< rig().T_body_left was given; otherwise it is the identity
+  bool masked() const;          ///< whether frames have masks
   unpaired_images unpaired() const;
   orb_settings const& settings() const;  ///< empty unless an ORB-SLAM3 settings file was given
   int size() const;                      ///< frames

@@ -119,7 +119,10 @@ struct stereo_frame {
   image right;              ///< of a pair only
   std::vector<image> more;  ///< of stereo_rig::more; empty where a camera has none in this frame
   depth_image depth;        ///< of a camera with depth only: registered to `left`, of its size
-  std::vector<depth_image> depths;  ///< of stereo_rig::depth_cameras; all 0 where one has none
+  /// Of the cameras in the order of the rig, 0 or 255, of the size of their images; null = all of
+  /// the image is used. Empty without open_options::masks. Frames with the same mask share it.
+  std::vector<std::shared_ptr<image const>> masks;
+  std::vector<depth_image> depths;  ///< of stereo_rig::depth_cameras; empty where one has none
 };
 
 /// Noise densities of an IMU. The defaults are those of the EuRoC data sets.

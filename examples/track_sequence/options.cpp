@@ -29,6 +29,12 @@ void add_input(CLI::App& app, arguments& a, std::string& folder) {
                  "images a second, of folders whose file names are no times, of ICL-NUIM, and of "
                  "7-Scenes (default: 30); times otherwise: the file names, or times.txt");
   app.add_option("--times", a.times, "file with the time of each image, of folders of images");
+  app.add_option(
+         "--mask", a.masks,
+         "image that is 0 where no keypoints are wanted, or a folder with one for each frame "
+         "that has the name of its image; once for each camera, left, right, cam2 ...; '' = "
+         "none")
+      ->allow_extra_args(false);
   app.add_option("--image-bits", a.image_bits,
                  "bits that hold the samples of grey images of 16 bits; default: 16")
       ->check(CLI::Range(8, 16));

@@ -5,6 +5,7 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <vector>
 
 namespace app {
 
@@ -19,7 +20,8 @@ enum exit_status {
 struct arguments {
   std::string sequence;
   std::string calibration;
-  std::string times;  ///< file, or empty
+  std::string times;               ///< file, or empty
+  std::vector<std::string> masks;  ///< of the cameras
   std::string backend = "auto";
   std::string rig = "auto";
   std::string frame = "camera";

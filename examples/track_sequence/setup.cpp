@@ -148,6 +148,7 @@ seq::sequence open_sequence(arguments const& a) {
   open.calibration = a.calibration;
   open.fps = a.fps;
   open.times = a.times;
+  open.masks = a.masks;
   open.keep_fisheye = a.rig != "rectified";
   open.max_frames = a.frames;
   open.read_imu = a.imu != "off";
@@ -168,6 +169,10 @@ odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
   ft::odometry_params& p = o.params;
   p.orb.width = sequence.rig().left.width;
   p.orb.height = sequence.rig().left.height;
+  if (sequence.masked()) {
+    p.orb.mask_width = p.orb.width;
+    p.orb.mask_height = p.orb.height;
+  }
   p.orb.features =
       a.features > 0 ? a.features : settings.features.value_or(p.orb.width > 1000 ? 2000 : 1200);
   p.orb.levels = settings.levels.value_or(8);

@@ -4,12 +4,14 @@
 
 #include <cstdint>
 #include <deque>
+#include <memory>
 #include <optional>
 #include <ostream>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "examples/sequence/types.hpp"
 #include "examples/track_sequence/stage_sums.hpp"
 #include "ft/any_odometry.hpp"
 #include "ft/pipelines/explain.hpp"
@@ -45,6 +47,8 @@ public:
   /// @param time_ns one that stands still or goes back is taken for one at the usual distance
   frame_outcome track(ft::any_images const& images, std::int64_t time_ns);
   void prefetch(ft::any_images const& images);
+  /// Those of the cameras, for the frames that are given from now on; null = none.
+  void use_masks(std::vector<std::shared_ptr<seq::image const>> const& masks);
   void forget_prefetched();
   frame_outcome track_prefetched(std::int64_t time_ns);
 
@@ -62,6 +66,8 @@ private:
 
   ft::any_odometry odometry_;
   stage_sums sums_;
+  bool multi_;  ///< image 2 c is that of camera c
+  std::vector<std::shared_ptr<seq::image const>> masks_;
   std::int64_t time_ns_ = 0;      ///< of the last frame
   std::int64_t interval_ns_ = 1;  ///< time from the preceding frame to it
   double prefetch_ms_ = 0;        ///< in prefetch(), since the last frame

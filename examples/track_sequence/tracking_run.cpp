@@ -110,6 +110,7 @@ private:
   void give(int i) {
     try {
       seq::stereo_frame frame = reader_.take(i);
+      odometry_.use_masks(frame.masks);
       odometry_.prefetch(images_of(frame));
       given_.push_back(std::move(frame));
     } catch (...) { failure_ = std::current_exception(); }
@@ -198,6 +199,7 @@ void tracking_run::track_all() {
 
 void tracking_run::track(int i, seq::stereo_frame frame) {
   add_imu(frame.time_ns);
+  if (prefetch_ == 0) { odometry_.use_masks(frame.masks); }
   frame_outcome const outcome = prefetch_ > 0 ? odometry_.track_prefetched(frame.time_ns)
                                               : odometry_.track(images_of(frame), frame.time_ns);
   ft::tracking const& found = outcome.found;

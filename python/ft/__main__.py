@@ -79,6 +79,9 @@ def parser() -> argparse.ArgumentParser:
                          help="auto (what the folder holds), stereo (fisheye pairs as they are, others rectified), mono (one "
                               "camera, of a pair the left one), rgbd (with depth images), rectified or fisheye (a pair), mixed "
                               "(all cameras of a rig as they are: pinhole, radtan, Kannala-Brandt or double sphere); monocular is mono")
+    command.add_argument("--mask", action="append", default=[], metavar="MASK",
+                         help="image that is 0 where no keypoints are wanted, or a folder with one for each frame that has the "
+                              "name of its image; once for each camera, left, right, cam2 ...; '' = none")
     command.add_argument("--image-bits", type=count(8, 16), metavar="BITS",
                          help="that hold the samples of grey images of 16 bits; default: 16")
     command.add_argument("--max-time-difference", type=number(0, 1e4), metavar="MS",

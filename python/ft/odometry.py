@@ -101,6 +101,7 @@ class Odometry:
                            descriptors=descriptors, measure_stages=bool(measure_stages))
         self.rig, self.scale_factor = rig, scale_factor
         self._doubts_depth = True
+        self._mask_size, self._masked = _two(mask_size, "mask_size"), set[tuple[int, int]]()
         self._descriptors = descriptors
         self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
         for found in check_calibration(rig, width, height):
@@ -211,6 +212,18 @@ class Odometry:
         """Keypoints come from where the mask, uint8 or bool of the size mask_size, is not 0. camera: 0 left, 1 right; of camera c
         of a MultiRig 2 c and 2 c + 1."""
         self._pipeline.set_mask(mask, camera, b)
+
+    def set_masks(self, masks: Sequence[Optional[Array]], b: int = 0) -> None:
+        """Those of the cameras in turn, as set_mask: left and right of a pair, of a MultiRig one of each camera. None = all of the
+        image is used. For masks of single frames call it before each track(). Needs mask_size."""
+        for camera, mask in enumerate(masks):
+            place = (2 * camera if isinstance(self.rig, MultiRig) else camera, b)
+            if mask is not None:
+                self.set_mask(mask, *place)
+                self._masked.add(place)
+            elif place in self._masked:
+                self.set_mask(np.full(self._mask_size[::-1], 255, np.uint8), *place)
+                self._masked.discard(place)
 
     def keypoints(self, b: int = 0) -> TrackedKeypoints:
         """Keypoints of the last frame, those of the left images, columns of n: x, y (pixels), camera (0, or its number in a

@@ -81,10 +81,12 @@ class _FileImu(TypedDict):
 @dataclass
 class Frame:
     """Images taken at time_ns, a tuple in the order of ft.Odometry.track: left and right of a pair, those of
-    a rig's cameras, depth images behind their camera's, the one of a single camera, or that and its depth image; (height, width) uint8, depth uint16."""
+    a rig's cameras, depth images behind their camera's, the one of a single camera, or that and its depth image; (height, width) uint8, depth uint16. None where a camera of a
+    MultiRig has none. masks: of its cameras, as ft.Odometry.set_masks takes them; () without read_sequence(masks=...)."""
 
     time_ns: int
-    images: tuple[NDArray[np.uint8], ...]
+    images: tuple[Optional[NDArray[np.uint8]], ...]
+    masks: tuple[Optional[NDArray[np.uint8]], ...] = ()
 
     @property
     def left(self) -> NDArray[np.uint8]:
@@ -162,7 +164,7 @@ class Trajectory:
 class Sequence:
     """Frames on disk, decoded when they are asked for; of fisheye cameras and of a MultiRig as they are, of others
     rectified. rig: what ft.Odometry takes; of read_sequence(rig="mixed") a MultiRig. ground_truth: a Trajectory, which is empty,
-    and false, where there is none. depth_unit: metres per unit of depth images; 0 without. warnings: what was left out or looks wrong, a sentence each. files: that of the
+    and false, where there is none. depth_unit: metres per unit of depth images; 0 without. masked: whether frames have masks. warnings: what was left out or looks wrong, a sentence each. files: that of the
     extension."""
 
     def __init__(self, files: _ft.SequenceFiles, min_depth: float = 0.0, max_depth: Optional[float] = None,
@@ -195,6 +197,7 @@ class Sequence:
             self.layout = recording.layout
             self.warnings = [*recording.warnings, *map(recording.named, self.warnings)]
         self.has_body_frame = files.has_body_frame
+        self.masked = files.masked
         self.ground_truth = Trajectory(*files.ground_truth)
         self.ground_truth_has_orientation = files.ground_truth_has_orientation
         samples = cast(Optional[_FileImu], files.imu)
@@ -228,7 +231,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
                   max_frames: int = 0, imu: bool = False, rig: str = "auto", depth_unit: Optional[float] = None,
                   min_depth: float = 0.0, max_depth: Optional[float] = None,
                   max_time_difference_ns: Optional[int] = None, fps: Optional[float] = None, times: Path = "",
-                  topics: Union[str, Items[str]] = (), image_bits: Optional[int] = None,
+                  topics: Union[str, Items[str]] = (), image_bits: Optional[int] = None, masks: Items[Path] = (),
                   progress: Optional[Callable[[int], None]] = None) -> Sequence:
     """Opens a recording. It is a folder in EuRoC (ASL), KITTI odometry or KITTI raw layout, with two cameras or one, or in that of TUM
     RGB-D, ICL-NUIM, OpenLORIS or 7-Scenes, or plain folders of images: left and right (cam0 and cam1, image_0 and image_1), or one. Or it is a bag (.bag,
@@ -242,7 +245,9 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
     DepthAI's JSON (eepromToJsonFile), COLMAP's cameras.txt, ORB-SLAM3 settings, KITTI's calib.txt, a camera.txt; a bag has
     its camera_info. The calibration of a video is the one beside it; that of a single video is of one camera. fps, times: of plain folders, and fps of 7-Scenes and ICL-NUIM, images a second, or a file with a time a line; None and "" = the file
     names or times.txt say them. topics: of a bag, one with images, left and right, or colour and depth; empty = found by
-    type and name. image_bits: 8 to 16, that hold the samples of grey PNG and TIFF of 16 bits; None = 16, with a
+    type and name. masks: of each camera in turn (left, right, cam2 ...) an image that is 0 where no keypoints are wanted, or
+    a folder with one for each frame that has the name of the camera's image, of the size of the images on disk; "" = none; Frame.masks
+    has them, rectified as the images. image_bits: 8 to 16, that hold the samples of grey PNG and TIFF of 16 bits; None = 16, with a
     warning where up to eight images of each camera need 14 or fewer. progress: called with the number of frames while a bag or video is unpacked. max_frames: 0 = all. imu:
     also reads mav0/imu0, imu0 or imu.csv, or a bag's sensor_msgs/Imu, if the calibration says where it is (Kalibr's
     chain). rig: auto (what the folder holds), stereo, mono (the left camera alone), rgbd, or mixed: a pair and all cameras beside it (cam2 ..., of
@@ -255,7 +260,7 @@ def read_sequence(folder: Union[Path, Items[Path]], *, calibration: Path = "", k
         "calibration": str(calibration), "keep_fisheye": bool(keep_fisheye), "max_frames": max_frames, "imu": bool(imu),
         "rig": str(rig), "depth_unit": depth_unit, "max_time_difference_ns": max_time_difference_ns,
         "fps": fps, "times": str(times),
-        "image_bits": image_bits,
+        "image_bits": image_bits, "masks": [str(mask) for mask in ([masks] if isinstance(masks, (str, os.PathLike)) else masks)],
     }
     if not isinstance(max_frames, (int, np.integer)) or not 0 <= max_frames < 2**31:
         raise ValueError(f"max_frames is {max_frames!r}, must be a whole number from 0 to {2**31 - 1}")

@@ -53,7 +53,7 @@ def open_sequence(a: argparse.Namespace) -> ft.Sequence:
                                     topics=a.topics, progress=Unpacking(a.quiet), imu=a.imu == "auto", rig=RIGS[a.rig],
                                     depth_unit=a.depth_unit, min_depth=a.min_depth,
                                     max_depth=a.max_depth, max_time_difference_ns=apart, fps=a.fps, times=a.times,
-                                    image_bits=a.image_bits)
+                                    image_bits=a.image_bits, masks=a.mask)
     if a.imu_time_offset is not None and sequence.imu is not None:
         sequence.imu.time_offset_s = a.imu_time_offset
     for text in sequence.warnings:
@@ -88,7 +88,8 @@ def make_odometry(arguments: argparse.Namespace, sequence: ft.Sequence,
         odometry = ft.Odometry(sequence.rig, sequence.width, sequence.height, imu=sequence.imu, device=arguments.backend,
                                threads=arguments.threads, loops=arguments.loops, localize_only=arguments.localize_only,
                                measure_stages=measure_stages, map_slots=slots, local_points=local, window_points=window,
-                               corner_ratio=arguments.corner_ratio, **settings)
+                               corner_ratio=arguments.corner_ratio,
+                               mask_size=(sequence.width, sequence.height) if sequence.masked else (0, 0), **settings)
     if arguments.load_map:
         load_map(arguments.load_map, odometry)
     return odometry, settings
@@ -185,6 +186,7 @@ class Run:
             self._odometry.add_imu(*sample)
             if sample[0] >= until_ns:
                 break
+        self._odometry.set_masks(frame.masks)
         begin = time.perf_counter()
         pose = self._odometry.track(*frame.images, frame.time_ns)
         total = 1e3 * (time.perf_counter() - begin)

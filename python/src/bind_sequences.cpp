@@ -135,6 +135,7 @@ seq::sequence opened(std::string const& folder, nb::dict const& options) {
   o.read_imu = nb::cast<bool>(options["imu"]);
   o.rig = kind_named(nb::cast<std::string>(options["rig"]));
   o.times = nb::cast<std::string>(options["times"]);
+  o.masks = nb::cast<std::vector<std::string>>(options["masks"]);
   nb::object const rate = options["fps"];
   if (!rate.is_none()) {
     o.fps = number(rate, "fps");
@@ -168,13 +169,13 @@ seq::sequence opened(std::string const& folder, nb::dict const& options) {
   return seq::sequence::open(folder, o);
 }
 
-/// The images of a frame: those of a rig in its order, depths behind their camera's; left and
 /// The array of an image, or None where a camera has none.
 template <typename Image>
 nb::object array_or_none(Image&& image) {
   return image.pixels.empty() ? nb::none() : nb::object(array_of(std::move(image)));
 }
 
+/// The images of a frame: those of a rig in its order, depths behind their camera's; left and
 /// right, one, or one and its depths.
 nb::tuple images_of(seq::sequence const& s, seq::stereo_frame f) {
   nb::object const left = array_of(std::move(f.left));
@@ -196,6 +197,15 @@ nb::tuple images_of(seq::sequence const& s, seq::stereo_frame f) {
     return nb::tuple(all);
   }
   return nb::make_tuple(left, array_of(std::move(f.depth)));
+}
+
+/// Of the cameras in turn.
+nb::tuple masks_of(seq::stereo_frame const& f) {
+  nb::list all;
+  for (auto const& mask : f.masks) {
+    all.append(mask == nullptr ? nb::none() : nb::object(array_of(*mask)));
+  }
+  return nb::tuple(all);
 }
 
 nb::dict errors_of(seq::trajectory_error const& e) {
@@ -238,6 +248,7 @@ void bind_sequences(nb::module_& m) {
       .def_prop_ro("warnings", &seq::sequence::warnings)
       .def_prop_ro("depth_unit_from", &seq::sequence::depth_unit_from)
       .def_prop_ro("settings", settings_dict)
+      .def_prop_ro("masked", &seq::sequence::masked)
       .def_prop_ro("has_body_frame", &seq::sequence::has_body_frame)
       .def_prop_ro("imu", imu_dict)
       .def_prop_ro("ground_truth",
@@ -253,7 +264,8 @@ void bind_sequences(nb::module_& m) {
               f = s.load(i);
             }
             std::int64_t const time_ns = f.time_ns;
-            return nb::make_tuple(time_ns, images_of(s, std::move(f)));
+            nb::tuple const masks = masks_of(f);
+            return nb::make_tuple(time_ns, images_of(s, std::move(f)), masks);
           },
           nb::arg("i"));
   m.def(

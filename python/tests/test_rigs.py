@@ -341,3 +341,35 @@ def test_a_recording_with_a_depth_camera_is_tracked(walk, tmp_path):
         odometry = odometry_of(near.rig)
         odometry.track(*near[0].images, 0)
     assert near.rig.max_depth == 2.5 and odometry.keypoints()["depth"].max() == pytest.approx(NEAR, rel=0.01)
+
+
+def test_masks_of_a_recording_hold_for_their_frames(walk, tmp_path):
+    """An image for the left camera, and a folder with one for some frames of the right one."""
+    frames = 4
+    for c, name in enumerate(("left", "right")):
+        (tmp_path / name).mkdir()
+        for i in range(frames):
+            write_png(tmp_path / name / f"{1_000_000_000 + 50_000_000 * i}.png", walk.frame(i)[c])
+    fx, fy, cx, cy = CAMERA
+    (tmp_path / "camchain.yaml").write_text("".join(
+        f"cam{c}:\n  camera_model: pinhole\n  intrinsics: [{fx}, {fy}, {cx}, {cy}]\n  distortion_model: none\n"
+        f"  distortion_coeffs: []\n  resolution: [{WIDTH}, {HEIGHT}]\n" for c in range(2))
+        + f"  T_cn_cnm1: [[1, 0, 0, {-BASELINE}], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n")
+    half = np.zeros((HEIGHT, WIDTH), np.uint8)
+    half[:, :WIDTH // 2] = 255
+    write_png(tmp_path / "half.png", half)
+    (tmp_path / "masks").mkdir()
+    write_png(tmp_path / "masks" / "1050000000.png", half)
+    assert ft.read_sequence(tmp_path)[0].masks == ()
+    with pytest.warns(UserWarning, match="3 of 4 frames have no mask"):
+        sequence = ft.read_sequence(tmp_path, masks=[tmp_path / "half.png", tmp_path / "masks"])
+    assert sequence.masked and all(np.array_equal(frame.masks[0], half) for frame in sequence)
+    assert [frame.masks[1] is not None for frame in sequence] == [False, True, False, False]
+    odometry = ft.Odometry(sequence.rig, WIDTH, HEIGHT, features=400, device="host", mask_size=(WIDTH, HEIGHT))
+    for i, frame in enumerate(sequence):
+        odometry.set_masks(frame.masks if i < 3 else (None, None))
+        assert odometry.track(*frame.images, frame.time_ns).tracked
+        seen = odometry.keypoints()
+        assert (seen["x"].max() < WIDTH / 2 + 6) == (i < 3)
+    with pytest.raises(RuntimeError, match="3 masks, for 2 cameras"):
+        ft.read_sequence(tmp_path, masks=[tmp_path / "half.png"] * 3)

@@ -254,6 +254,46 @@ TEST(Rigs, CamerasOfDifferentLensesHaveOnePath) {
   expect_path_along_wall(folder);
 }
 
+TEST(Rigs, MasksKeepKeypointsAwayAndCamerasMayMissImages) {
+  temp_folder const folder;
+  write_rig(folder);
+  // Of the left camera the right half, from the 6th frame on the left half. Pixels of the coarsest
+  // level have 3.6 of the image, and positions are refined by up to one.
+  fs::create_directories(folder.path("masks"));
+  std::vector<std::string> names;
+  for (auto const& entry : fs::directory_iterator(folder.path("cam0"))) {
+    names.push_back(entry.path().filename().string());
+  }
+  std::sort(names.begin(), names.end());
+  for (std::size_t f = 0; f < names.size(); ++f) {
+    seq::image mask{320, 240, std::vector<std::uint8_t>(320 * 240)};
+    for (std::size_t i = 0; i < mask.pixels.size(); ++i) {
+      mask.pixels[i] = (i % 320 < 160) == (f < 5) ? 255 : 0;
+    }
+    seq::write_png(folder.path("masks/" + names[f]), mask);
+  }
+  fs::remove(folder.path("cam2/" + names[7]));
+  outcome const o = track(
+      folder.path(), folder.path("out"),
+      {"--rig", "mixed", "--mask", folder.path("masks"), "--record", folder.path("recorded")});
+  ASSERT_TRUE(succeeded(o));
+  EXPECT_TRUE(contains(o.out, "; masks"));
+  EXPECT_TRUE(contains(o.out + o.err, "1 of 16 frames have no image of cam2")) << o;
+  EXPECT_EQ(summary_of(folder).at("tracked"), rig_frames);
+  EXPECT_FALSE(contains(read_file(folder.path("out/times.csv")), "dark"));
+  strings const lines = lines_of(read_file(folder.path("recorded/recording.jsonl")));
+  ASSERT_EQ(lines.size(), names.size() + 1);
+  for (std::size_t f = 0; f < names.size(); ++f) {
+    auto const columns = json::parse(lines[f + 1]).at("x").get<std::vector<double>>();
+    EXPECT_GT(columns.size(), 50U);
+    for (double const x : columns) {
+      EXPECT_TRUE(f < 5 ? x < 166 : x > 154) << "frame " << f << ": " << x;
+    }
+  }
+  EXPECT_EQ(track(folder.path(), folder.path("out"), {"--mask", folder.path("none.png")}).status,
+            1);
+}
+
 TEST(Rigs, ADepthCameraAmongThem) {
   temp_folder const folder;
   write_rig(folder);

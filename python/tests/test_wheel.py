@@ -107,3 +107,13 @@ print(json.dumps([line.split()[-1] for line in open("/proc/self/maps") if "tbb" 
     assert done.returncode == 0, done.stderr
     loaded = json.loads(done.stdout)
     assert loaded and all("fasttrack_slam.libs" in path for path in loaded), loaded
+
+
+@pytest.mark.parametrize("arch", ["x86_64", "aarch64"])
+def test_cibuildwheel_builds_portable_wheels(arch):
+    """Its configuration is read by itself; the images are not started."""
+    pytest.importorskip("cibuildwheel")
+    wanted = [f"cp{version}-manylinux_{arch}" for version in (310, 311, 312)]
+    listed = run(sys.executable, "-m", "cibuildwheel", "--platform", "linux", "--archs", arch, "--print-build-identifiers", ROOT)
+    assert listed.split() == wanted
+    assert run("bash", "-n", ROOT / "scripts/wheel_deps.sh") == ""

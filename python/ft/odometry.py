@@ -71,7 +71,7 @@ class Odometry:
     own_features: track_features() takes keypoints of yours. descriptors: of these, "orb" (32 bytes),
     "bits_512" (61 to 64 bytes, as AKAZE's and BRISK's) or "int8_128" (OpenCV's SIFT, or int8, of two rows of one point up to
     250 apart); others than "orb" need own_features and a RectifiedPair or an RgbdCamera of a pinhole, without imu and
-    vocabulary, and track no images. measure_stages: record stage_times(). features,
+    vocabulary, and track no images. measure_stages: record stage_times_us(). features,
     levels ...: as those of OrbExtractor, but a corner_ratio of 0 is 1/16 where there are depths; 1e-6 keeps all corners.
     device: auto (a GPU if there is one), host or cuda. Raises ValueError for values out of range; warns of what
     check_calibration() finds.
@@ -250,10 +250,10 @@ class Odometry:
         measured, scale (n) of `to`'s unit in `from`'s, inliers (n), the matches that agree. Empty without loops."""
         return cast(ClosedLoops, self._pipeline.closed_loops(b))
 
-    def stage_times(self) -> dict[str, float]:
-        """Milliseconds that each stage added to the last frame, by name, in order. Raises ValueError without
+    def stage_times_us(self) -> dict[str, float]:
+        """Microseconds that each stage added to the last frame, by name, in order. Raises ValueError without
         measure_stages."""
-        return self._pipeline.stage_times()
+        return self._pipeline.stage_times_us()
 
     def save_map(self, b: int = 0) -> bytes:
         """The map as bytes for load_map()."""

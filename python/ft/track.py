@@ -191,7 +191,8 @@ class Run:
         pose = self._odometry.track(*frame.images, frame.time_ns)
         total = 1e3 * (time.perf_counter() - begin)
         tracked = pose.tracked and pose.reason != "new_map"  # whose place is guessed
-        stages = self._odometry.stage_times() if self._arguments.timing or self._viewer else {}
+        times_us = self._odometry.stage_times_us() if self._arguments.timing or self._viewer else {}
+        stages = {name: 1e-3 * us for name, us in times_us.items()}
         self._stage_names += [name for name in stages if name not in self._stage_names]
         self.records.append((i, frame.time_ns, tracked, stages, total, pose))
         if tracked and pose.metric and not self.metric:

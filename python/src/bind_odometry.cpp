@@ -351,10 +351,10 @@ public:
     d["inliers"] = to_numpy(std::move(inliers));
     return d;
   }
-  nb::dict stage_times() const {
+  nb::dict stage_times_us() const {
     nb::dict d;
     for (auto const& stage : translated([&] { return inner_->stage_times(); })) {
-      d[stage.name] = 1e-3 * stage.us;
+      d[stage.name] = stage.us;
     }
     return d;
   }
@@ -734,7 +734,7 @@ void bind_odometry(nb::module_& m) {
       .def("map", &bound_odometry::map, nb::arg("b") = 0)
       .def("placed_keyframes", &bound_odometry::placed_keyframes, nb::arg("b") = 0)
       .def("closed_loops", &bound_odometry::closed_loops, nb::arg("b") = 0)
-      .def("stage_times", &bound_odometry::stage_times)
+      .def("stage_times_us", &bound_odometry::stage_times_us)
       .def("save_map", &bound_odometry::save_map, nb::arg("b") = 0)
       .def("load_map", &bound_odometry::load_map, nb::arg("bytes"), nb::arg("b") = 0)
       .def_prop_ro("memory_bytes", &bound_odometry::memory_bytes)

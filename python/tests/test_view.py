@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -128,12 +129,16 @@ def test_the_program_track_sequence_writes_such_a_recording(walk_folder, tmp_pat
 def test_stage_times(walk, device):
     odometry = walk.odometry(measure_stages=True, device=device)
     for i in range(3):
-        odometry.track(*walk.frame(i))
-    times = odometry.stage_times()
+        frame = walk.frame(i)
+        begin = time.perf_counter()
+        odometry.track(*frame)
+        took_us = 1e6 * (time.perf_counter() - begin)
+    times = odometry.stage_times_us()
+    assert 0.02 * took_us < sum(times.values()) <= took_us
     assert list(times)[-2:] == ["result", "keyframe"] and {"pyramid", "corners", "stereo", "pose local map"} <= set(times)
     assert all(t >= 0 for t in times.values()) and sum(times.values()) > 0
     with pytest.raises(ValueError, match="measure_stages"):
-        walk.odometry(device=device).stage_times()
+        walk.odometry(device=device).stage_times_us()
 
 
 class Log:

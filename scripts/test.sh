@@ -187,7 +187,7 @@ configure_build() {
   read -ra cuda <<<"$(cuda_options)"
   if ((quick)); then which=FT_TESTS_SHORT; fi
   ft_configure "$build" -DFT_ENABLE_CUDA=AUTO -DFT_BUILD_TESTS=ON -DFT_BUILD_EXAMPLES=ON \
-    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=24 -D$which=ON \
+    -DFT_BUILD_BENCH=ON -DFT_BUILD_LIBRARY=ON -DFT_BUILD_SEQUENCE=ON -DFT_WARNINGS_AS_ERRORS=ON -DFT_TEST_BATCH=24 -D$which=ON \
     -DFT_TEST_SHARDS=$((2 * jobs)) "${cuda[@]}"
 }
 quick_tests=(stage_tests_host optimized_tests_host contract_tests_host conformance)

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "examples/sequence/odometry_input.hpp"
 #include "examples/sequence/report.hpp"
 #include "examples/sequence/types.hpp"
 #include "examples/track_sequence/setup.hpp"
@@ -34,7 +35,7 @@ public:
             with_scale(k.T_world_camera, k.scale) * with_scale(k.T_odom_camera.inverse(), 1);
       }
       ft::similarity<double> const T = T_world_odom * with_scale(p.T_odom_camera, 1);
-      path.push_back(stamped(p.time_ns, {T.R, T.t}));
+      path.push_back(seq::stamped(p.time_ns, {T.R, T.t}));
     }
     return path;
   }
@@ -55,8 +56,8 @@ inline std::vector<seq::loop_edge> edges_of(std::vector<ft::placed_keyframe> con
   for (ft::closed_loop const& l : loops) {
     ft::placed_keyframe const& from = keyframes[static_cast<std::size_t>(l.from)];
     ft::placed_keyframe const& to = keyframes[static_cast<std::size_t>(l.to)];
-    edges.push_back({stamped(from.time_ns, from.T_world_camera),
-                     stamped(to.time_ns, to.T_world_camera), l.inliers, from.loaded});
+    edges.push_back({seq::stamped(from.time_ns, from.T_world_camera),
+                     seq::stamped(to.time_ns, to.T_world_camera), l.inliers, from.loaded});
   }
   return edges;
 }

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "examples/sequence/odometry_input.hpp"
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/report.hpp"
 #include "examples/sequence/warnings.hpp"
@@ -101,7 +102,7 @@ int run(app::arguments a, std::vector<std::string> const& words) {
   report.maps = last.maps;
   auto const map = [&](std::ostream& to, Eigen::Isometry3d const& T_file_world) {
     // The map's points are in the frame of the odometry.
-    odometry.write_map(to, (app::rigid_of(T_file_world) * last.T_world_odom).cast<float>(),
+    odometry.write_map(to, (seq::odometry_pose(T_file_world) * last.T_world_odom).cast<float>(),
                        static_cast<float>(last.odom_scale));
   };
   app::finish(a, sequence, map, report);

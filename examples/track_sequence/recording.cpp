@@ -11,6 +11,7 @@
 #include <system_error>
 
 #include "examples/sequence/image_io.hpp"
+#include "examples/sequence/odometry_input.hpp"
 #include "examples/track_sequence/setup.hpp"
 
 namespace app {
@@ -55,7 +56,7 @@ json truth_of(seq::sequence const& sequence) {
   json poses = json::array();
   for (auto const& pose : sequence.ground_truth()) {
     times.push_back(pose.time_ns);
-    poses.push_back(twelve(rigid_of(pose.T_world_camera)));
+    poses.push_back(twelve(seq::odometry_pose(pose.T_world_camera)));
   }
   return {{"time_ns", times},
           {"T_world_camera", poses},

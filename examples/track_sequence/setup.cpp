@@ -12,86 +12,12 @@
 #include <stdexcept>
 #include <vector>
 
-#include "examples/sequence/calibration.hpp"
+#include "examples/sequence/odometry_input.hpp"
 #include "examples/sequence/read_ahead.hpp"
 #include "examples/track_sequence/processor_name.hpp"
 
 namespace app {
 namespace {
-
-ft::camera_kind kind_of(seq::camera_intrinsics const& c) {
-  switch (c.model) {
-    case seq::lens::radial_tangential:
-      return c.distortion.size() == 4   ? ft::camera_kind::radtan4
-             : c.distortion.size() == 5 ? ft::camera_kind::radtan5
-                                        : ft::camera_kind::radtan8;
-    case seq::lens::kannala_brandt:
-      return ft::camera_kind::kannala_brandt;
-    case seq::lens::double_sphere:
-      return ft::camera_kind::double_sphere;
-    default:
-      return ft::camera_kind::pinhole;
-  }
-}
-
-/// @param of the images that are tracked: a pinhole where they were rectified
-ft::camera_description camera_description_of(seq::camera_intrinsics const& c) {
-  auto camera = ft::camera_description::make(kind_of(c), {c.fx, c.fy, c.cx, c.cy});
-  std::copy(c.distortion.begin(), c.distortion.end(), camera.parameters + 4);
-  return camera;
-}
-
-/// The body is the left camera.
-ft::rig_description mixed_description_of(arguments const& a, seq::sequence const& sequence) {
-  ft::rig_description all;
-  all.kind = ft::rig_kind::multi;
-  all.cameras = 0;
-  all.depth_scale = sequence.depth_unit();
-  all.min_depth = a.min_depth;
-  all.max_depth = a.max_depth;
-  for (seq::rig_camera const& c : seq::rig_cameras(sequence.rig())) {
-    ft::camera_description& to = all.camera[all.cameras++];
-    to = camera_description_of(c.camera);
-    to.right = c.right;
-    to.has_depth_image = c.has_depth;
-    to.baseline = c.has_depth ? seq::usual_virtual_baseline : 0;
-    to.T_camera_body = rigid_of(c.T_left_this.inverse());
-  }
-  return all;
-}
-
-ft::rig_description rig_of(arguments const& a, seq::sequence const& sequence) {
-  auto const& rig = sequence.rig();
-  if (sequence.mixed()) { return mixed_description_of(a, sequence); }
-  auto const baseline = static_cast<double>(static_cast<float>(rig.baseline()));
-  auto const left = camera_description_of(rig.left);
-  if (sequence.kind() == seq::camera_kind::mono) { return ft::rig_description::monocular(left); }
-  if (sequence.kind() == seq::camera_kind::rgbd) {
-    auto rgbd = ft::rig_description::rgbd(left, baseline, sequence.depth_unit());
-    rgbd.min_depth = a.min_depth;
-    rgbd.max_depth = a.max_depth;
-    return rgbd;
-  }
-  if (sequence.fisheye()) {
-    return ft::rig_description::fisheye_pair(left, camera_description_of(rig.right),
-                                             rigid_of(rig.T_left_right.inverse()));
-  }
-  return ft::rig_description::rectified_pair(rig.left.fx, rig.left.fy, rig.left.cx, rig.left.cy,
-                                             baseline);
-}
-
-ft::imu_params imu_params_of(arguments const& a, seq::sequence const& sequence) {
-  auto const f = [](double v) { return static_cast<float>(v); };
-  auto const& imu = *sequence.imu();
-  auto const& noise = imu.calibration.noise;
-  ft::imu_params p;
-  p.present = true;
-  p.T_bc = rigid_of(imu.T_imu_left);
-  p.noise = {f(noise.gyro), f(noise.accel), f(noise.gyro_walk), f(noise.accel_walk),
-             f(imu.calibration.rate_hz)};
-  p.time_offset_s = a.imu_time_offset_s.value_or(imu.calibration.time_offset_s);
-  return p;
-}
 
 seq::camera_kind kind_of(std::string const& rig) {
   if (rig == "auto") { return seq::camera_kind::any; }
@@ -162,32 +88,18 @@ seq::sequence open_sequence(arguments const& a) {
 }
 
 odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
-  auto const f = [](double v) { return static_cast<float>(v); };
   auto const& settings = sequence.settings();
   odometry_setup o;
-  o.rig = rig_of(a, sequence);
+  o.rig = seq::odometry_rig(sequence);
+  o.rig.min_depth = a.min_depth;
+  o.rig.max_depth = a.max_depth;
+  o.params = seq::odometry_settings(sequence, a.features);
   ft::odometry_params& p = o.params;
-  p.orb.width = sequence.rig().left.width;
-  p.orb.height = sequence.rig().left.height;
-  if (sequence.masked()) {
-    p.orb.mask_width = p.orb.width;
-    p.orb.mask_height = p.orb.height;
-  }
-  p.orb.features =
-      a.features > 0 ? a.features : settings.features.value_or(p.orb.width > 1000 ? 2000 : 1200);
-  p.orb.levels = settings.levels.value_or(8);
   o.scale_factor = settings.scale_factor.value_or(o.scale_factor);
-  p.orb.scale_factor = f(o.scale_factor);
-  p.orb.ini_threshold = settings.ini_threshold.value_or(20);
-  p.orb.min_threshold = settings.min_threshold.value_or(7);
-  p.orb.corner_ratio = f(a.corner_ratio);
+  p.orb.corner_ratio = static_cast<float>(a.corner_ratio);
   o.near_depth = a.near_depth > 0 ? a.near_depth : settings.depth_threshold.value_or(o.near_depth);
-  p.rules.near_depth = f(o.near_depth);
-  p.map_slots = std::max(p.map_slots, 8 * p.orb.features);
-  if (o.rig.kind == ft::rig_kind::multi) {  // of all cameras
-    p.map_slots = std::max(1 << 15, p.map_slots);
-    p.local_points = p.window_points = 12288;
-  }
+  p.rules.near_depth = static_cast<float>(o.near_depth);
+  if (sequence.imu() && a.imu_time_offset_s) { p.imu.time_offset_s = *a.imu_time_offset_s; }
   // TBB starts no more threads than there are cores, and warns on stderr if more are requested.
   o.threads = std::min(a.threads, tbb::this_task_arena::max_concurrency());
   p.measure_stages = a.timing;
@@ -198,7 +110,6 @@ odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
   bool const one_by_one = o.rig.kind == ft::rig_kind::monocular || a.timing || a.realtime ||
                           a.read_ahead == 0 || a.threads == 1;
   p.prefetch = one_by_one ? 0 : 4;
-  if (sequence.imu()) { p.imu = imu_params_of(a, sequence); }
   return o;
 }
 
@@ -229,25 +140,6 @@ int usual_read_ahead(std::string const& backend) {
 
 int threads_of(odometry_setup const& setup) {
   return setup.threads > 0 ? setup.threads : tbb::this_task_arena::max_concurrency();
-}
-
-ft::rigid<double> rigid_of(Eigen::Isometry3d const& T) {
-  ft::rigid<double> p;
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) { p.R.m[3 * r + c] = T.linear()(r, c); }
-  }
-  p.t = {T.translation().x(), T.translation().y(), T.translation().z()};
-  return p;
-}
-
-seq::stamped_pose stamped(std::int64_t time_ns, ft::rigid<double> const& T) {
-  seq::stamped_pose s;
-  s.time_ns = time_ns;
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) { s.T_world_camera.linear()(r, c) = T.R.m[3 * r + c]; }
-  }
-  s.T_world_camera.translation() = Eigen::Vector3d(T.t.x, T.t.y, T.t.z);
-  return s;
 }
 
 }  // namespace app

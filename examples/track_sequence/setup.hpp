@@ -38,8 +38,4 @@ int usual_read_ahead(std::string const& backend);
 /// Threads of the host that track.
 int threads_of(odometry_setup const& setup);
 
-ft::rigid<double> rigid_of(Eigen::Isometry3d const& T);
-/// @param T camera to world
-seq::stamped_pose stamped(std::int64_t time_ns, ft::rigid<double> const& T);
-
 }  // namespace app

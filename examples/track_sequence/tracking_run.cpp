@@ -16,6 +16,7 @@
 #include <string>
 #include <utility>
 
+#include "examples/sequence/odometry_input.hpp"
 #include "examples/sequence/read_ahead.hpp"
 #include "examples/track_sequence/interrupt.hpp"
 
@@ -61,23 +62,6 @@ seq::sample_frame sample_of(int index, seq::image picture, std::vector<seen_keyp
   return s;
 }
 
-/// Of whichever images the frame has. Those that cameras miss are null.
-ft::any_images images_of(seq::stereo_frame const& frame) {
-  auto const gray = [](seq::image const& i) {
-    return i.pixels.empty() ? ft::gray_view{}
-                            : ft::gray_view{i.pixels.data(), i.width, i.height, i.width};
-  };
-  ft::any_images images{{gray(frame.left), gray(frame.right)}, {}};
-  std::transform(frame.more.begin(), frame.more.end(), images.gray + 2, gray);
-  auto const depth = [](seq::depth_image const& i) -> ft::depth_view {
-    if (i.pixels.empty()) { return {}; }
-    return ft::image_view<std::uint16_t const>{i.pixels.data(), i.width, i.height, i.width};
-  };
-  images.depth = depth(frame.depth);
-  std::transform(frame.depths.begin(), frame.depths.end(), images.depths, depth);
-  return images;
-}
-
 /// The frames to be tracked, in their order. The odometry gets the images of each one early.
 class upcoming_frames {
 public:
@@ -111,7 +95,7 @@ private:
     try {
       seq::stereo_frame frame = reader_.take(i);
       odometry_.use_masks(frame.masks);
-      odometry_.prefetch(images_of(frame));
+      odometry_.prefetch(seq::odometry_images(frame));
       given_.push_back(std::move(frame));
     } catch (...) { failure_ = std::current_exception(); }
   }
@@ -200,8 +184,9 @@ void tracking_run::track_all() {
 void tracking_run::track(int i, seq::stereo_frame frame) {
   add_imu(frame.time_ns);
   if (prefetch_ == 0) { odometry_.use_masks(frame.masks); }
-  frame_outcome const outcome = prefetch_ > 0 ? odometry_.track_prefetched(frame.time_ns)
-                                              : odometry_.track(images_of(frame), frame.time_ns);
+  frame_outcome const outcome = prefetch_ > 0
+                                    ? odometry_.track_prefetched(frame.time_ns)
+                                    : odometry_.track(seq::odometry_images(frame), frame.time_ns);
   ft::tracking const& found = outcome.found;
   busy_until_ms_ = std::max(busy_until_ms_, arrival_ms(i)) + outcome.stage_ms.back();
   add_record(i, frame.time_ns, outcome);
@@ -220,7 +205,7 @@ void tracking_run::track(int i, seq::stereo_frame frame) {
     report_.estimate.clear();  // poses in another world
   }
   if (outcome.tracked && found.metric == report_.metric) {
-    report_.estimate.push_back(stamped(frame.time_ns, found.T_world_camera));
+    report_.estimate.push_back(seq::stamped(frame.time_ns, found.T_world_camera));
     path_.add(frame.time_ns, found.T_odom_camera);
   }
   if (report_.loops) {
@@ -249,16 +234,13 @@ void tracking_run::add_imu(std::int64_t to_ns) {
   report_.with_imu = sequence_.imu().has_value();
   if (!report_.with_imu) { return; }
   auto const& samples = sequence_.imu()->samples;
-  auto const narrowed = [](Eigen::Vector3d const& v) {
-    return ft::vec3<double>{v.x(), v.y(), v.z()}.cast<float>();
-  };
   double const offset_s =
       arguments_.imu_time_offset_s.value_or(sequence_.imu()->calibration.time_offset_s);
   std::int64_t const until_ns = to_ns + std::llround(1e9 * (offset_s + 0.08));
   bool more = true;
   while (more && next_sample_ < samples.size()) {
     auto const& s = samples[next_sample_++];
-    odometry_.odometry().add_imu({s.time_ns, narrowed(s.accel), narrowed(s.gyro)});
+    odometry_.odometry().add_imu(seq::odometry_sample(s));
     more = s.time_ns < until_ns;
   }
 }

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # What find_package(ft COMPONENTS ...) says about components that ft has not.
 #   cmake -DCMAKE_PREFIX_PATH=PREFIX -DOUT=FOLDER -P components.cmake
-foreach(asked "COMPONENTS host;OK" "COMPONENTS hots;ft has no component \"hots\": there are host, cuda and odometry"
+foreach(asked "COMPONENTS host;OK" "COMPONENTS hots;ft has no component \"hots\": there are host, cuda, odometry and sequence"
               "COMPONENTS host OPTIONAL_COMPONENTS gpu;OK")
   list(GET asked 0 components)
   list(GET asked 1 expected)

@@ -117,6 +117,12 @@ compiled_library() {
   fi
 }
 
+sequence_library() {
+  heading "sequence, find_package(ft COMPONENTS odometry sequence)"
+  build_project "$consumers/sequence" "$work/sequence" -DCMAKE_PREFIX_PATH="$prefix"
+  tests_of "$work/sequence"
+}
+
 components() {
   heading "find_package with components that there are not"
   quietly cmake -DCMAKE_PREFIX_PATH="$prefix" -DOUT="$work/components" -P "$consumers/components.cmake"
@@ -179,6 +185,11 @@ if [[ -n $(find "$prefix" -name ftOdometryConfig.cmake) ]]; then
   consume compiled_library
 else
   echo "the library ft::odometry is not installed: configure with -DFT_BUILD_LIBRARY=ON"
+fi
+if [[ -n $(find "$prefix" -name ftSequenceConfig.cmake) && -n $(find "$prefix" -name ftOdometryConfig.cmake) ]]; then
+  consume sequence_library
+else
+  echo "the library ft::sequence is not installed: configure with -DFT_BUILD_SEQUENCE=ON -DFT_BUILD_LIBRARY=ON"
 fi
 consume components
 consume vcpkg_port

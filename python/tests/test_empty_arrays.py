@@ -71,6 +71,7 @@ def entries(folder):
             ft.ImageFeatures(**{**FEATURES, name: a}), next(times)) for name in (*FEATURES, *COLUMNS)},
         "Odometry.track_features time": lambda a: own.track_features(ft.ImageFeatures(**FEATURES), a),
         "Odometry.set_mask mask": pair.set_mask,
+        "Odometry.set_masks mask": lambda a: pair.set_masks([None, a]),
         "Odometry.predict T_world_camera": pair.predict,
         "Odometry.add_imu accel": lambda a: inertial.add_imu(1, a, (0, 0, 0)),
         "Odometry.add_imu gyro": lambda a: inertial.add_imu(1, (0, 0, 0), a),

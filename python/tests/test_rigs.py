@@ -194,7 +194,7 @@ def test_images_of_a_rig_are_counted_and_named(walk):
     with pytest.raises(ValueError, match="the image of camera 1 has shape"):
         rig.track(left, right, left[1:], t)
     with pytest.raises(ValueError, match="the right image of camera 0"):
-        rig.track(left, None, left, t)
+        rig.track(left, right.astype(float), left, t)
     single = odometry_of(ft.MonocularCamera(CAMERA))
     with pytest.raises(ValueError, match="2 images, must be 1"):
         single.track(left, right, t)

@@ -138,6 +138,7 @@ make_python_environment() {
   "$pip" install --quiet --disable-pip-version-check "mypy<3" || echo "pip cannot fetch mypy: types are not tested"
   "$pip" install --quiet --disable-pip-version-check evo pykitti ||
     echo "pip cannot fetch evo and pykitti: figures and raw drives are not compared with theirs"
+  "$pip" install --quiet --disable-pip-version-check pycolmap || echo "pip cannot fetch pycolmap: COLMAP's cameras are not compared"
   "$pip" install --quiet --disable-pip-version-check matplotlib nbclient ipykernel "rerun-sdk==0.41.*" ||
     echo "pip cannot fetch matplotlib, nbclient, ipykernel and rerun-sdk: notebooks and recordings are not tested"
 }

@@ -180,6 +180,51 @@ def test_pykitti_agrees(tmp_path):
             shutil.rmtree(drive / f"image_0{camera}", ignore_errors=True)
 
 
+COLMAP_CAMERAS = {
+    "SIMPLE_PINHOLE": [400, 320, 240], "PINHOLE": [400, 401, 321, 239], "SIMPLE_RADIAL": [400, 320, 240, -0.1],
+    "RADIAL": [400, 320, 240, -0.1, 0.02], "OPENCV": [400, 401, 321, 239, -0.1, 0.02, 0.0002, -0.0001],
+    "FULL_OPENCV": [400, 401, 321, 239, -0.1, 0.02, 0.0002, -0.0001, 0.003, 0.01, 0.002, 0.0005],
+    "SIMPLE_RADIAL_FISHEYE": [300, 320, 240, 0.01], "RADIAL_FISHEYE": [300, 320, 240, 0.01, 0.002],
+    "OPENCV_FISHEYE": [300, 301, 321, 239, 0.01, 0.002, 0.003, 0.0004],
+}
+
+
+@pytest.mark.parametrize("model", COLMAP_CAMERAS)
+def test_pycolmap_agrees(model, tmp_path):
+    """A rig that it writes, of a camera of each model and a pinhole: pixels and places of the cameras are the same."""
+    pycolmap = pytest.importorskip("pycolmap")
+    if not hasattr(pycolmap, "Rig"):
+        pytest.skip("a pycolmap without rigs")
+    random = np.random.default_rng(7)
+    cameras = [pycolmap.Camera(model=name, width=640, height=480, params=COLMAP_CAMERAS[name], camera_id=i)
+               for i, name in enumerate((model, "PINHOLE"), 1)]
+    left, right = (pycolmap.sensor_t(pycolmap.SensorType.CAMERA, i) for i in (1, 2))
+    turn = np.array([0.02, -0.03, 0.01, 1.0])
+    place = pycolmap.Rigid3d(pycolmap.Rotation3d(turn / np.linalg.norm(turn)), np.array([-0.1, 0.002, 0.01]))
+    rig = pycolmap.Rig(rig_id=1)
+    rig.add_ref_sensor(left)
+    rig.add_sensor(right, place)
+    written = pycolmap.Reconstruction()
+    for camera in cameras:
+        written.add_camera(camera)
+    written.add_rig(rig)
+    (tmp_path / "sparse").mkdir()
+    written.write_text(str(tmp_path / "sparse"))
+    for name in ("left", "right"):
+        (tmp_path / name).mkdir()
+        for i in range(2):
+            write_png(tmp_path / name / f"{i}.5.png", np.full((480, 640), 90, np.uint8))
+    with pytest.warns(UserWarning, match="unit of length"):
+        sequence = ft.read_sequence(tmp_path, calibration=tmp_path / "sparse/cameras.txt", rig="mixed")
+    points = np.column_stack([random.uniform(-0.7, 0.7, 200), random.uniform(-0.5, 0.5, 200), np.ones(200)])
+    for ours, theirs in zip(sequence.rig.cameras, cameras):
+        pixels, valid = ours.camera.project(points)
+        assert valid.all()
+        assert np.abs(pixels + 0.5 - theirs.img_from_cam(points)).max() < 1e-3  # floats
+    T_right_left = sequence.rig.cameras[1].T_camera_body @ np.linalg.inv(sequence.rig.cameras[0].T_camera_body)
+    assert np.abs(T_right_left[:3] - place.matrix()).max() < 1e-6
+
+
 def test_evo_agrees(tmp_path):
     evo = pytest.importorskip("evo.core.metrics")
     from evo.core import trajectory as t

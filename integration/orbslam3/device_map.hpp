@@ -157,9 +157,9 @@ public:
   /// @return whether the memory has moved
   bool reserve(Exec const& exec, int points) {
     if (points <= used_.capacity) { return false; }
+    local_blocks<Exec> larger(size_of(points), cameras_ * keypoints_, keypoints_, cameras_);
     exec.wait();
-    used_ = {};
-    used_ = {size_of(points), cameras_ * keypoints_, keypoints_, cameras_};
+    used_ = std::move(larger);
     // Candidates are prefetched before their count is known.
     auto const& work = used_.buffers.work;
     fill_bytes(exec, work.list, 0xff, work.list_bytes());

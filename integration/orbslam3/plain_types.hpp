@@ -46,7 +46,7 @@ struct settings : orb_params {
   /// Map points on the device at a time: those of recent local maps and those that mapping has
   /// created since. With more, the memory grows.
   int map_points = 1 << 15;
-  /// Points of a local map. The first one with more allocates memory for twice as many.
+  /// Points of a local map that there is memory for; a call with more takes more.
   int local_points = 1 << 14;
   /// Threads that share the host's part of a call: copies of images, filling a frame, counting
   /// points in view. They sleep between calls. -1: a quarter of the machine's, 3 at most.

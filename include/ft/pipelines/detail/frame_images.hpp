@@ -60,7 +60,9 @@ inline void require_size(char const* name, image_size given, image_size wanted) 
 template <typename Images, typename Given>
 void take_some(Images& images, int b, int count, Given const& given) {
   bool any = false;
-  for (int i = 0; i < count; ++i) { any = any || given[i].data != nullptr; }
+  for (int i = 0; i < count; ++i) {
+    any = any || (given[i].data != nullptr && !images.absent(images.number(b, i)));
+  }
   require(any, "all images of the frame are null: a rig needs one of its cameras' images");
   for (int i = 0; i < count; ++i) {
     if (images.absent(images.number(b, i))) { continue; }

@@ -63,7 +63,7 @@ inline bool has_fixed(tracking const& t, warning_limits const& limits) {
 /// all of the image while the pose stands still.
 inline bool has_two_motions(tracking const& t, warning_limits const& limits) {
   tracking_evidence const& e = t.evidence;
-  if (has_fixed(t, limits)) { return true; }
+  if (has_fixed(t, limits) || e.facts.apart > 0) { return true; }
   return t.inliers > 0 && !t.map_begun && 8 * (t.inliers - e.facts.resting) < t.inliers &&
          3 * e.moved > e.textured && e.textured >= 16;
 }
@@ -232,7 +232,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              "or " +
              "they shared more once and half of that since";
     case tracking_warning::two_motions:
-      return std::to_string(f.dragged) + " keypoints are fixed to the camera while it moves, or " +
+      return std::to_string(f.dragged) + " keypoints are fixed to the camera while it moves, " +
+             std::to_string(f.apart) + " agree with another motion than that of the pose, or " +
              detail::share_of(e.moved, e.textured) + " of the images changed while " +
              std::to_string(f.resting) + " of " + std::to_string(t.inliers) +
              " keypoints that agree with the pose stand still, in this frame or one of the " +

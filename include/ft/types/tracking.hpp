@@ -90,6 +90,8 @@ struct frame_facts {
   int fixed = 0;           ///< near keypoints of parts of the images that stay while others move
   int dragged = 0;         ///< of these, those that the scene would have moved 2 pixels, and whose
                            ///< part has stayed for long
+  int apart = 0;           ///< matches that agree with another motion than that of the pose, of
+                           ///< frames after errors that neighbours share
   int held_before = 0;     ///< camera_track::held of the last frame
   int evidence = 0;        ///< of the inliers, bits
   int moving = 0;          ///< 1 = the last frame moved against the one before

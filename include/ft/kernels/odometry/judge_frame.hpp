@@ -122,6 +122,7 @@ private:
     frame_facts facts{};
     facts.fixed = t.facts.fixed;
     facts.dragged = t.facts.dragged;
+    facts.apart = t.facts.apart;
     facts.held_before = t.held;
     facts.moving = t.moved;
     facts.frozen = t.frozen;

@@ -65,6 +65,8 @@ struct camera_track {
   int map_keyframes;         ///< made in this map
   int keyframes;             ///< made in all maps
   frame_facts facts;         ///< of the current frame
+  int apart;                 ///< 1 = two motions were found since the map began
+  std::int64_t apart_ns;     ///< of the last frame that had two, if `apart`
   int moved;                 ///< 1 = most inliers moved 2 pixels since the frame before
   int new_keyframe;          ///< 1 = since the last adjustment was begun
   int adjusting;             ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
@@ -84,6 +86,7 @@ struct camera_track {
     if (adjusting != 0) { adjusting = 2; }
     new_keyframe = 0;
     map_keyframes = 0;
+    apart = 0;
   }
   FT_HOST_DEVICE bool has_map() const { return state != tracking_state::initialising; }
 };

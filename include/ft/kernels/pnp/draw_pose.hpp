@@ -16,13 +16,16 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+/// Squared errors in eighths of the keypoint's variance, with room for that of a pose from three
+/// points: four times the 95 % limit of two degrees of freedom.
+inline constexpr int drawn_pose_limit = 24 * 8;
+
 /// Matches of one camera with map points, and how well poses agree with them. Poses are of that
 /// camera.
-template <typename Rig>
+/// @tparam Limit of errors, in eighths of a variance; a match above it does not agree
+template <typename Rig, int Limit = drawn_pose_limit>
 struct seen_matches {
-  /// Squared errors in units of the keypoint's variance, with room for that of a pose from three
-  /// points: four times the 95 % limit of two degrees of freedom.
-  static constexpr int limit = 24 * 8;
+  static constexpr int limit = Limit;
 
   Rig const& rig;
   int camera;
@@ -78,9 +81,9 @@ struct seen_matches {
 
 /// Pose h: from three matches, the one of its solutions that a fourth match agrees with most.
 /// @pre at least four matches
-template <typename Rig>
-FT_HOST_DEVICE bool pose_of_three(seen_matches<Rig> const& in, counter_draws const& draws, int h,
-                                  rigid<strict_double>& T) {
+template <typename Rig, int Limit>
+FT_HOST_DEVICE bool pose_of_three(seen_matches<Rig, Limit> const& in, counter_draws const& draws,
+                                  int h, rigid<strict_double>& T) {
   int drawn[4];
   draws.distinct(in.n, static_cast<std::uint64_t>(h), drawn);
   auto const camera = in.model().template cast<strict_double>();
@@ -115,9 +118,9 @@ FT_HOST_DEVICE bool pose_of_three(seen_matches<Rig> const& in, counter_draws con
 /// equals. Called by all threads of a group. @pre at least four matches
 /// @param to of the body, in memory that the group's threads share; written if there is one
 /// @return whether there is one
-template <typename Group, typename Rig>
-FT_HOST_DEVICE bool draw_pose(Group g, seen_matches<Rig> const& matches, counter_draws const& draws,
-                              rigid<double>& to) {
+template <typename Group, typename Rig, int Limit>
+FT_HOST_DEVICE bool draw_pose(Group g, seen_matches<Rig, Limit> const& matches,
+                              counter_draws const& draws, rigid<double>& to) {
   constexpr int hypotheses = 256;
   constexpr int none = 1 << 30;  // cost of a hypothesis that there is not
   auto T = rigid<strict_double>::identity(), best_T = T;
@@ -143,15 +146,15 @@ FT_HOST_DEVICE bool draw_pose(Group g, seen_matches<Rig> const& matches, counter
 
 /// The sum of truncated squared errors of a pose of the body, by all threads of a group.
 /// @param support gets the number of matches that agree with it
-template <typename Group, typename Rig>
-FT_HOST_DEVICE int cost_of_pose(Group g, seen_matches<Rig> const& matches,
+template <typename Group, typename Rig, int Limit>
+FT_HOST_DEVICE int cost_of_pose(Group g, seen_matches<Rig, Limit> const& matches,
                                 rigid<double> const& T_bw, int& support) {
   auto const T_cw = matches.of_camera(T_bw.template cast<strict_double>());
   int cost = 0, agree = 0;
   for (int i = g.rank(); i < matches.n; i += g.size()) {
     int const e = matches.error(T_cw, i);
     cost += e;
-    agree += static_cast<int>(e < seen_matches<Rig>::limit);
+    agree += static_cast<int>(e < Limit);
   }
   support = g.reduce(agree, sum_op{});
   return g.reduce(cost, sum_op{});

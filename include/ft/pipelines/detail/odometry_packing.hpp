@@ -188,6 +188,7 @@ private:
   FT_HOST_DEVICE static void take_facts(frame_facts& to, frame_facts facts) {
     facts.fixed = to.fixed;
     facts.dragged = to.dragged;
+    facts.apart = to.apart;
     facts.held_before = to.held_before;
     facts.moving = to.moving;
     facts.frozen = to.frozen;

@@ -126,12 +126,13 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   s.count_chances(branch);
   s.assign_local_map(line.then("search local map"));
   s.optimize_local(line.then("pose local map"));
+  line.join(s.result_branch());  // its stages read depths and points, which those below write
+  s.split_motions(line.then("pose local map"));
   if (parts) {
     s.launch_parts(line.then("pose local map"), &part::after_pose);
     s.launch_parts(line.fork(s.part_branch()), &part::beside_decision);
   }
   if constexpr (Stages::starts_from_motion) { s.look_for_start(line.then("start")); }
-  line.join(s.result_branch());  // count_chances reads points, which insert writes
   s.judge(line.then("result"));
   s.weigh(line.with("result"));
   if (parts) { s.launch_parts(line.then("result"), &part::before_outputs); }

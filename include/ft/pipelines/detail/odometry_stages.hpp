@@ -24,6 +24,7 @@
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/kernels/odometry/propose_pose.hpp"
 #include "ft/kernels/odometry/refine_proposal.hpp"
+#include "ft/kernels/odometry/split_motions.hpp"
 #include "ft/kernels/stereo/refine_partners.hpp"
 #include "ft/pipelines/detail/frame_features.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
@@ -155,6 +156,20 @@ public:
   void choose_local(Exec const& exec) const {
     choose_local_map(exec, {memory.frame, own.state.mode, settings.local_map}, own.map, local_map(),
                      own.local_work);
+  }
+
+  /// After the last pose, and after all that reads depths beside it.
+  void split_motions(Exec const& exec) const {
+    motions_of_frames<typename base::searched_rig> in{};
+    in.rig = this->rig;
+    in.frame = memory.frame;
+    in.observations = memory.observations;
+    in.T_cw = memory.poses;
+    in.information = own.information;
+    in.depth = const_cast<float*>(this->matcher.depth());  // its own memory, as in plan_search()
+    in.depth_cameras = memory.result.depth_cameras;
+    in.geometry = this->geometry();
+    ft::split_motions(exec, in, own.state, own.windowless, this->pose_settings);
   }
 
   // ---- the end

@@ -62,33 +62,48 @@ struct two_places {
 template <typename Rig>
 struct split_motions_of_frame {
   static constexpr bool wide_on_host = true;
+  /// Parameters that functions refer to. References to those of a kernel would make each thread of
+  /// each launch copy them.
+  struct inputs {
+    motions_of_frames<Rig> frames;
+    windowless_workspace work;
+  };
   struct scratch {
     pose_scratch pose;
     two_places places;
     rigid<double> T[2];
+    alignas(inputs) unsigned char parameters[sizeof(inputs)];
   };
   pose_params params;
   pose_limits limits = pose_limits::of(params);
 
   template <typename Group>
-  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, motions_of_frames<Rig> const& in,
+  FT_HOST_DEVICE void operator()(Group g, scratch& s, int b, motions_of_frames<Rig> const& frames,
                                  odometry_state_view const& state,
                                  windowless_workspace const& work) const {
     camera_track& t = state.tracks[b];
-    bool const wanted = is_wanted(t) && in.observations.count[b] >= 2 * least;
+    bool const wanted = is_wanted(t) && frames.observations.count[b] >= 2 * least;
     g.sync();
     if (g.rank() == 0) { t.facts.apart = 0; }
     if (!wanted) { return; }
-    frame_observations const of{in, b, busiest(g, b, in), work};
+    inputs& kept = *reinterpret_cast<inputs*>(s.parameters);
+    if (g.rank() == 0) { kept = {frames, work}; }
+    g.sync();
+    motions_of_frames<Rig> const& in = kept.frames;
+    frame_observations const of{in, b, busiest(g, b, in), kept.work};
     int const chosen = find_two(g, s, of, t);
-    if (chosen < 0) { return; }
-    choose(g, s, of, chosen);
-    forget_depths(g, s, of, chosen);
-    if (g.rank() != 0) { return; }
-    t.apart = 1;
-    t.apart_ns = t.time_ns;
-    for (int i = 0; i < two_places::blocks; ++i) {
-      t.facts.apart += s.places.matches[1 - chosen][i];
+    if (chosen >= 0) {
+      choose(g, s, of, chosen);
+      forget_depths(g, s, of, chosen);
+      if (g.rank() == 0) { note(s, of, t, chosen); }
+      return;
+    }
+    if (!is_lately(t)) { return; }
+    int const free = count_free(g, b, in, t);
+    g.sync();
+    if (g.rank() == 0 && free > 0) {
+      t.facts.apart = free;
+      t.apart_ns = t.time_ns;
     }
   }
 
@@ -97,6 +112,7 @@ private:
   static constexpr int near = 4;         ///< squared error, in eighths of a variance, of a match
                                          ///< that agrees with a motion
   static constexpr int distant = 2 * 8;  ///< and of one that does not
+  static constexpr int most = 6 * 8;     ///< of one that may belong to a motion
   /// Errors that neighbours share, in 1 / 1024 of their variance.
   static constexpr int shared = 128;
   static constexpr int steps = 4;
@@ -107,8 +123,10 @@ private:
 
   FT_HOST_DEVICE static bool is_wanted(camera_track const& t) {
     if (t.plan == search_plan::nothing || t.lost_frames > 0) { return false; }
-    bool const lately = t.apart != 0 && t.time_ns - t.apart_ns <= lasting_ns;
-    return lately || t.facts.common > shared;
+    return is_lately(t) || t.facts.common > shared;
+  }
+  FT_HOST_DEVICE static bool is_lately(camera_track const& t) {
+    return t.apart != 0 && t.time_ns - t.apart_ns <= lasting_ns;
   }
 
   /// The observations of a camera.
@@ -129,8 +147,9 @@ private:
     FT_HOST_DEVICE proposal_refinement& refined() const { return work.refined[b]; }
     /// Squared error of a pose of the body, in eighths of a variance.
     FT_HOST_DEVICE int error(rigid<double> const& T_bw, observation const& o) const {
-      distant_matches const m{in.rig, camera, &o, 1};
-      return m.error(m.of_camera(T_bw.template cast<strict_double>()), 0);
+      distant_matches const m{in.rig, camera, nullptr, 0};
+      auto const T_cw = m.of_camera(T_bw.template cast<strict_double>());
+      return m.error(T_cw.template cast<strict_float>(), o);
     }
     /// Lists those of the camera that are wanted, in their order. @return their number
     template <typename Group, typename Wanted>
@@ -149,6 +168,53 @@ private:
       return n;
     }
   };
+
+  /// What later frames need to know. A thread's part.
+  FT_HOST_DEVICE static void note(scratch const& s, frame_observations const& of, camera_track& t,
+                                  int chosen) {
+    t.facts.apart = 0;
+    t.apart_blocks = 0;
+    for (int i = 0; i < two_places::blocks; ++i) {
+      t.facts.apart += s.places.matches[1 - chosen][i];
+      t.apart_blocks |= static_cast<std::uint64_t>(s.places.leads(1 - chosen, i)) << i;
+    }
+    t.apart = 1;
+    t.apart_camera = of.camera;
+    t.apart_ns = t.time_ns;
+  }
+
+  /// Where the other motion was, what has a depth holds no point while it goes on: the number of
+  /// such keypoints. @return 0: most of them hold a point again, or there are few
+  template <typename Group>
+  FT_HOST_DEVICE static int count_free(Group g, int b, motions_of_frames<Rig> const& in,
+                                       camera_track const& t) {
+    int const camera = t.apart_camera;
+    if (is_monocular_v<Rig> || in.depth == nullptr || camera >= in.depth_cameras) { return 0; }
+    frame_view const& frame = in.frame;
+    keypoints_view const kp = frame.camera(b, camera);
+    int const first = camera * frame.capacity();
+    int const* const holder =
+        frame.holder + static_cast<std::ptrdiff_t>(b) * frame.numbers() + first;
+    float const* const depth =
+        in.depth + static_cast<std::ptrdiff_t>(b) * in.depth_cameras * frame.capacity() + first;
+    int held = 0, free = 0;
+    for (int k = g.rank(); k < *kp.count; k += g.size()) {
+      if (!(depth[k] > 0) || (t.apart_blocks >> block_of(in, kp, k) & 1u) == 0) { continue; }
+      (holder[k] >= 0 ? held : free) += 1;
+    }
+    held = g.reduce(held, sum_op{});
+    free = g.reduce(free, sum_op{});
+    return free >= least && free > 2 * held ? free : 0;
+  }
+
+  /// The part of the image that a keypoint is in.
+  FT_HOST_DEVICE static int block_of(motions_of_frames<Rig> const& in, keypoints_view const& kp,
+                                     int k) {
+    int const octave = kp.octave(k);
+    return two_places::block_of(in.geometry.column(kp.x(k), octave),
+                                in.geometry.row(kp.y(k), octave), in.geometry.width[0],
+                                in.geometry.height[0]);
+  }
 
   /// The camera with most observations. Of two cameras that are not rectified the left one.
   template <typename Group>
@@ -230,7 +296,7 @@ private:
       int const k = step % 2 == 0 ? 1 : 0;
       int const n = of.keep(g, [&](observation const& o) {
         int const e = of.error(s.T[k], o);
-        return e < 6 * 8 && e < of.error(s.T[1 - k], o);
+        return e < most && e < of.error(s.T[1 - k], o);
       });
       if (n < least) { return false; }
       optimize(g, s, of, n, s.T[k], nullptr);
@@ -294,7 +360,7 @@ private:
     rigid<double> const& other = s.T[1 - chosen];
     int const n = of.keep(g, [&](observation const& o) {
       int const e = of.error(T, o);
-      return e < 6 * 8 && e < of.error(other, o);
+      return e < most && e < of.error(other, o);
     });
     optimize(g, s, of, n, T, in.information + of.b * information_terms);
     if (g.rank() == 0) {
@@ -311,7 +377,9 @@ private:
       std::ptrdiff_t const at = of.first() + i;
       observation const o = of.at(i);
       int const e = of.error(s.T[chosen], o);
-      bool const agrees = o.camera != of.camera || (e < 6 * 8 && e < of.error(other, o));
+      // What is far agrees with both.
+      bool const agrees =
+          o.camera != of.camera || e < distant || (e < most && e < of.error(other, o));
       if (!agrees) {
         in.observations.outlier[at] = 1;
         holder[in.observations.number[at]] = -1;
@@ -338,11 +406,7 @@ private:
         in.depth + static_cast<std::ptrdiff_t>(b) * in.depth_cameras * frame.capacity() + first;
     for (int k = g.rank(); k < *kp.count; k += g.size()) {
       if (frame.holder[numbers + first + k] >= 0) { continue; }
-      int const octave = kp.octave(k);
-      int const block = two_places::block_of(in.geometry.column(kp.x(k), octave),
-                                             in.geometry.row(kp.y(k), octave), in.geometry.width[0],
-                                             in.geometry.height[0]);
-      if (s.places.leads(1 - chosen, block)) { depth[k] = -1.0f; }
+      if (s.places.leads(1 - chosen, block_of(in, kp, k))) { depth[k] = -1.0f; }
     }
   }
 };
@@ -351,7 +415,8 @@ private:
 
 /// Of frames that follow one whose errors neighbours shared, or that had two motions within a
 /// second: looks for two poses that many matches agree with each, and not with the other one. The
-/// frame keeps the one whose matches lie in more parts of the image. Asynchronous on `exec`;
+/// frame keeps the one whose matches lie in more parts of the image. Where the other one was, it
+/// is told of until most of what has a depth holds points again. Asynchronous on `exec`;
 /// allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void split_motions(Exec const& exec, motions_of_frames<Rig> const& in,

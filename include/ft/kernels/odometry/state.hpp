@@ -66,13 +66,15 @@ struct camera_track {
   int keyframes;             ///< made in all maps
   frame_facts facts;         ///< of the current frame
   int apart;                 ///< 1 = two motions were found since the map began
-  std::int64_t apart_ns;     ///< of the last frame that had two, if `apart`
-  int moved;                 ///< 1 = most inliers moved 2 pixels since the frame before
-  int new_keyframe;          ///< 1 = since the last adjustment was begun
-  int adjusting;             ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
-  int new_left_out;          ///< map points for which the keyframe of the current frame, or the
-                             ///< adjustment that began with it, had no room
-  int left_out;              ///< the same of the frame before
+  int apart_camera;          ///< whose matches said so
+  std::uint64_t apart_blocks;  ///< parts of its image where the other motion had most matches
+  std::int64_t apart_ns;       ///< of the last frame that had two, if `apart`
+  int moved;                   ///< 1 = most inliers moved 2 pixels since the frame before
+  int new_keyframe;            ///< 1 = since the last adjustment was begun
+  int adjusting;               ///< 1 = an adjustment is in flight; 2 = one of a map that is gone
+  int new_left_out;            ///< map points for which the keyframe of the current frame, or the
+                               ///< adjustment that began with it, had no room
+  int left_out;                ///< the same of the frame before
 
   FT_HOST_DEVICE static camera_track initial() {
     camera_track t{};

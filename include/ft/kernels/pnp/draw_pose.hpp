@@ -60,8 +60,8 @@ struct seen_matches {
   FT_HOST_DEVICE int error(rigid<strict_double> const& T, int i) const {
     return error(T.template cast<strict_float>(), i);
   }
-  FT_HOST_DEVICE int error(rigid<strict_float> const& T, int i) const {
-    observation const o = list[i];
+  FT_HOST_DEVICE int error(rigid<strict_float> const& T, int i) const { return error(T, list[i]); }
+  FT_HOST_DEVICE int error(rigid<strict_float> const& T, observation const o) const {
     auto const p = T * o.point.template cast<strict_float>();
     auto const seen = model().template cast<strict_float>().project(p);
     strict_float const dx = seen.pixel.x - strict_float(o.u);

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "examples/sequence/detail/calibration_checks.hpp"
+#include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/text.hpp"
 #include "examples/sequence/image_io.hpp"
 

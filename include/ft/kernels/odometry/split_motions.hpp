@@ -113,8 +113,9 @@ private:
                                          ///< that agrees with a motion
   static constexpr int distant = 2 * 8;  ///< and of one that does not
   static constexpr int most = 6 * 8;     ///< of one that may belong to a motion
-  /// Errors that neighbours share, in 1 / 1024 of their variance.
-  static constexpr int shared = 128;
+  /// Errors that neighbours share, in 1 / 1024 of their variance: from where a pose is in doubt
+  /// (warning_limits::common_errors). Depths that are off in a part of the images share less.
+  static constexpr int shared = 256;
   static constexpr int steps = 4;
   static constexpr std::int64_t lasting_ns = 1000000000;
 
@@ -247,20 +248,23 @@ private:
     return found ? weigh(g, s, of, n) : -1;
   }
 
-  /// Which motion is that of the camera: the one whose matches lie in more parts of the image.
-  /// @param n matches @return -1: too few agree with one of them and not with the other
+  /// Which motion is that of the camera: the one whose matches lie in more parts of the image. A
+  /// motion is one that has parts of the image for itself: matches that agree with nothing else are
+  /// scattered where they come from errors.
+  /// @param n matches @return -1: too few are where one motion leads and agree with it alone
   template <typename Group>
   FT_HOST_DEVICE static int weigh(Group g, scratch& s, frame_observations const& of, int n) {
     count_places(g, s, of);
-    int both[2] = {}, blocks[2] = {};
+    int own[2] = {}, blocks[2] = {};
     for (int i = 0; i < two_places::blocks; ++i) {
       for (int k = 0; k < 2; ++k) {
-        both[k] += s.places.matches[k][i];
-        blocks[k] += static_cast<int>(s.places.leads(k, i));
+        bool const leads = s.places.leads(k, i);
+        own[k] += leads ? s.places.matches[k][i] : 0;
+        blocks[k] += static_cast<int>(leads);
       }
     }
-    if (min_of(both[0], both[1]) < max_of(least, n / 16)) { return -1; }
-    return blocks[1] > blocks[0] || (blocks[1] == blocks[0] && both[1] > both[0]) ? 1 : 0;
+    if (min_of(own[0], own[1]) < max_of(least, n / 16)) { return -1; }
+    return blocks[1] > blocks[0] || (blocks[1] == blocks[0] && own[1] > own[0]) ? 1 : 0;
   }
 
   /// Finds the pose that most of the n listed matches agree with closely, and optimises it by

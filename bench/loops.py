@@ -152,6 +152,10 @@ def starts(m):
     return m.rows(m.program(f"loop_cases_{m.how.backend}"), "starts", m.how.starts, m.how.jobs)
 
 
+def localize(m):
+    return m.rows(m.program(f"loop_cases_{m.how.backend}"), "localize", m.how.starts, m.how.jobs)
+
+
 def flat(m):
     return m.rows(m.program(f"loop_cases_{m.how.backend}"), "flat", 1000, m.how.ms, 0, 100, 1000, m.how.keyframes)
 
@@ -222,7 +226,7 @@ def maps(m):
     return rows
 
 
-PARTS = {f.__name__: f for f in (laps, blind, one_camera, recordings, trials, starts, flat, graphs, maps)}
+PARTS = {f.__name__: f for f in (laps, blind, one_camera, recordings, trials, starts, localize, flat, graphs, maps)}
 
 
 def machine_of(how):

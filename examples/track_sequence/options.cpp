@@ -91,7 +91,7 @@ void add_tracking(CLI::App& app, arguments& a) {
       "--load-map", a.load_map,
       "file of --save-map, with the same rig, image size and options: the camera is searched for "
       "in it, and poses are in its world. Near the place where it was saved; anywhere if both runs "
-      "have --loops, and this one not --localize-only");
+      "have --loops");
   app.add_flag("--localize-only", a.localize_only,
                "the map is not changed, and a camera that is not found in it stays lost")
       ->needs(load);

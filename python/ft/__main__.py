@@ -103,8 +103,7 @@ def parser() -> argparse.ArgumentParser:
                               "loops have corrected it, trajectory_online.txt as each frame told it")
     command.add_argument("--load-map", metavar="FILE",
                          help="of --save-map, with the same rig, image size and options: the camera is searched for in it, and "
-                              "poses are in its world. Near the place where it was saved; anywhere if both runs have --loops, "
-                              "and this one not --localize-only")
+                              "poses are in its world. Near the place where it was saved; anywhere if both runs have --loops")
     command.add_argument("--localize-only", action="store_true",
                          help="with --load-map: the map is not changed, and a camera that is not found in it stays lost")
     command.add_argument("--save-map", metavar="FILE",

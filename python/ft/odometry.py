@@ -68,6 +68,7 @@ class Odometry:
     candidates of the keyframes of its map; not with an IMU, a MonocularCamera or a MultiRig. loops: places that were
     seen before are recognised and the path is corrected, see placed_keyframes(); not with batch > 1.
     localize_only: cameras are tracked in a map of load_map(), which is not changed; one that is not found stays lost.
+    With loops they are found anywhere in it.
     own_features: track_features() takes keypoints of yours. descriptors: of these, "orb" (32 bytes),
     "bits_512" (61 to 64 bytes, as AKAZE's and BRISK's) or "int8_128" (OpenCV's SIFT, or int8, of two rows of one point up to
     250 apart); others than "orb" need own_features and a RectifiedPair or an RgbdCamera of a pinhole, without imu and

@@ -6,7 +6,8 @@
 //     loop_cases check                       a few: fails with a wrong loop, where no revisit
 //                                            is found or many images are lost, or a start is not
 //     loop_cases trials COUNT JOBS [KIND]    of kinds 0, 1 a third each, of 2, 3 a sixth; or of one
-//     loop_cases starts COUNT JOBS
+//     loop_cases starts COUNT JOBS [SEED]    the map grows; of seeds SEED, SEED + 1, ...
+//     loop_cases localize COUNT JOBS [SEED]  the map stays as it is
 //     loop_cases flat FRAMES MS KEYFRAMES... a frame each MS milliseconds; 0: without loops
 #include <cstdio>
 #include <cstdlib>
@@ -34,7 +35,7 @@ struct executor_maker {
 
 int usage() {
   std::fputs(
-      "loop_cases check\nloop_cases trials|starts COUNT JOBS\nloop_cases flat FRAMES MS "
+      "loop_cases check\nloop_cases trials|starts|localize COUNT JOBS\nloop_cases flat FRAMES MS "
       "KEYFRAMES...\n",
       stderr);
   return EXIT_FAILURE;
@@ -47,15 +48,17 @@ int main(int argc, char** argv) {
     std::string const what = argc > 1 ? argv[1] : "";
     if (what == "check") {
       bool const right = loop_cases::run_trials(6, 2, executor_maker()) == 0 &&
-                         loop_cases::run_starts(2, 2, executor_maker()) == 0;
+                         loop_cases::run_starts(2, 2, executor_maker(), false) == 0 &&
+                         loop_cases::run_starts(2, 2, executor_maker(), true) == 0;
       return right ? EXIT_SUCCESS : EXIT_FAILURE;
     }
     if (argc < 4) { return usage(); }
     int const count = std::atoi(argv[2]), jobs = std::atoi(argv[3]);
     if (what == "trials" && argc <= 5) {
       loop_cases::run_trials(count, jobs, executor_maker(), argc == 5 ? std::atoi(argv[4]) : -1);
-    } else if (what == "starts" && argc == 4) {
-      loop_cases::run_starts(count, jobs, executor_maker());
+    } else if ((what == "starts" || what == "localize") && argc <= 5) {
+      auto const seed = static_cast<unsigned>(argc == 5 ? std::atoi(argv[4]) : 0);
+      loop_cases::run_starts(count, jobs, executor_maker(), what == "localize", seed);
     } else if (what == "flat" && argc > 4) {
       for (int i = 4; i < argc; ++i) {
         soak_scene::on_backend([&](auto const& exec) {

@@ -21,6 +21,7 @@ struct frame_arrays {
   ft::keypoints_view keypoints;
   int* holder = nullptr;
   ft::local_map_mode* mode = nullptr;
+  int* votes = nullptr;
   ft::local_map_view local;
   ft::local_map_workspace work;
 };
@@ -32,7 +33,8 @@ struct outcome {
 
 /// Keyframes in the order in which their points are taken.
 inline std::vector<int> plain_order(test::plain_map const& m, std::vector<int> const& held,
-                                    ft::local_map_mode mode, ft::local_map_params const& params) {
+                                    ft::local_map_mode mode, ft::local_map_params const& params,
+                                    int const* given, int positions) {
   std::vector<int> order;
   if (m.keyframes.empty()) { return order; }
   order.push_back(m.keyframes.rbegin()->first);
@@ -42,7 +44,12 @@ inline std::vector<int> plain_order(test::plain_map const& m, std::vector<int> c
     return order;
   }
   std::map<int, int> votes;
+  for (auto const& k : m.keyframes) {
+    int const mine = given[(k.first - 1) % positions];
+    if (mode == ft::local_map_mode::given && mine > 0) { votes[k.first] = mine; }
+  }
   for (int const slot : held) {
+    if (mode == ft::local_map_mode::given) { break; }
     if (slot < 0 || slot >= static_cast<int>(m.points.size())) { continue; }
     for (int const n : m.points[test::index(slot)].seen_by) { ++votes[n]; }
   }
@@ -95,6 +102,7 @@ void compare(Exec const& exec, trial const& t, unsigned seed) {
     carve(c, v.work, t.size.slots, batch);
     v.holder = c.take<int>(test::index(batch * cameras * keypoints));
     v.mode = c.take<ft::local_map_mode>(batch);
+    v.votes = c.take<int>(batch * std::size_t{ft::max_keyframes});
     v.local.capacity = t.capacity;
     v.local.slots = c.take<int>(test::index(batch * t.capacity));
     v.local.count = c.take<int>(batch);
@@ -104,7 +112,10 @@ void compare(Exec const& exec, trial const& t, unsigned seed) {
   for (int b = 0; b < batch; ++b) {
     auto const plain = test::random_map(random, t.size);
     test::write_map(plain, map.host, b);
-    in.host.mode[b] = static_cast<ft::local_map_mode>(random() % 3 == 0);
+    in.host.mode[b] =
+        static_cast<ft::local_map_mode>(std::max(0, 2 - static_cast<int>(random() % 4)));
+    int* const votes = in.host.votes + b * ft::max_keyframes;
+    for (int p = 0; p < ft::max_keyframes; ++p) { votes[p] = static_cast<int>(random() % 5); }
     std::vector<int> held;
     for (int c = 0; c < 2; ++c) {
       in.host.keypoints.count[2 * b + c] = static_cast<int>(random() % test::index(keypoints + 1));
@@ -116,7 +127,8 @@ void compare(Exec const& exec, trial const& t, unsigned seed) {
         if (i < in.host.keypoints.count[2 * b + c]) { held.push_back(slot); }
       }
     }
-    auto const order = plain_order(plain, held, in.host.mode[b], t.params);
+    auto const order =
+        plain_order(plain, held, in.host.mode[b], t.params, votes, map.host.keyframes.positions);
     expected.push_back(plain_choice(plain, order, t.capacity));
   }
   map.push(exec);
@@ -126,8 +138,8 @@ void compare(Exec const& exec, trial const& t, unsigned seed) {
   frame.cameras = cameras;
   frame.batch = batch;
   frame.holder = in.device.holder;
-  ft::choose_local_map(exec, {frame, in.device.mode, t.params}, map.device, in.device.local,
-                       in.device.work);
+  ft::choose_local_map(exec, {frame, in.device.mode, t.params, in.device.votes}, map.device,
+                       in.device.local, in.device.work);
   in.pull(exec);
   for (int b = 0; b < batch; ++b) {
     int const* const slots = in.host.local.slots + b * t.capacity;

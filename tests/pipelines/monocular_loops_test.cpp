@@ -179,4 +179,40 @@ TYPED_TEST(MonocularLoops, ARepeatedStructureIsNoLoop) {
   }
 }
 
+// Its frames have no depths while it is lost.
+TYPED_TEST(MonocularLoops, ItIsFoundAnywhereInALoadedMapThatStays) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type, rig_type>;
+  odometry maps(backend.exec, rig(), params(), 1, ft::loops{});
+  answers const mapped = run(maps, walk(), 0, lap - 8);
+  std::ostringstream file;
+  maps.save_map(file);
+  auto p = params();
+  p.rules.localize_only = true;
+  odometry odo(backend.exec, rig(), p, 1, ft::loops{});
+  for (int const from : {14, 26, 48}) {
+    std::istringstream again(file.str());
+    odo.load_map(again);
+    answers const a = run(odo, walk(), from, from + 3);
+    ASSERT_EQ(a.told.back().state, ft::tracking_state::tracking) << from;
+    EXPECT_EQ(a.told.back().maps, 1);
+    ft::placed_keyframe nearest{};  // of the map
+    for (ft::placed_keyframe const& k : mapped.placed) {
+      if (k.time_ns <= (from + 3) * period) { nearest = k; }
+    }
+    auto const of_map = [&](ft::tracking const& t) {
+      return (nearest.T_world_camera.inverse() * t.T_world_camera).t;
+    };
+    // What the map was made of saw it there, in the units of the map.
+    auto const want = (nearest.T_odom_camera.inverse() * mapped.told[at(from + 2)].T_odom_camera).t;
+    auto const got = of_map(a.told.back());
+    double const unit = nearest.scale;
+    ft::vec3<double> const d{got.x - unit * want.x, got.y - unit * want.y, got.z - unit * want.z};
+    EXPECT_LT(length(d), 0.02 * unit) << from;
+  }
+  std::ostringstream after;
+  odo.save_map(after);
+  EXPECT_TRUE(after.str() == file.str()) << "the map has changed";
+}
+
 }  // namespace monocular_loops_test

@@ -260,7 +260,8 @@ public:
     made().frame_end.wait();
     return made().stages.own.matched;
   }
-  /// The map of camera pair b. Waits, and allocates. Empty if there is none.
+  /// The map of camera pair b; with localize_only and ft::loops the part of it around the camera.
+  /// Waits, and allocates. Empty if there is none.
   /// @throws bad_argument for a pair that does not exist; std::bad_alloc, cuda_error
   odometry_map download_map(int b = 0) const {
     engine const& p = made();
@@ -295,16 +296,21 @@ public:
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::require(p.results[static_cast<std::size_t>(b)].state != tracking_state::initialising,
                     "the camera has no map to be saved");
-    detail::save_odometry_map(p.exec, p.stages.own.map, b, origin(), p.given.loops.present, to);
+    odometry_map_view map = p.stages.own.map;
+    for (auto const& part : p.stages.plugged) {
+      if (part->loaded_map() != nullptr) { map = *part->loaded_map(); }
+    }
+    detail::save_odometry_map(p.exec, map, b, origin(), p.given.loops.present, to);
     for (auto const& part : p.stages.plugged) { part->save(p.exec, to); }
   }
   /// Replaces the map of camera pair b by a saved one. The camera is searched for in it, near its
   /// newest keyframes, as one that was lost; predict() says where else. With ft::loops it is found
   /// anywhere: from the first frame that is not found there it has a map of its own, until two of
   /// its frames are recognised. Up to 30 frames are looked for, one after the other, which each
-  /// wait for the search of the one before; then keyframes alone. Any time stamp may follow. What
-  /// was known about an IMU is forgotten. Reads no more of the stream than the file's head says.
-  /// Waits, and allocates.
+  /// wait for the search of the one before; then keyframes alone. With localize_only and ft::loops
+  /// each frame that is not found is looked up, without a map of its own. Any time stamp may
+  /// follow. What was known about an IMU is forgotten. Reads no more of the stream than the file's
+  /// head says. Waits, and allocates.
   /// @throws error, with nothing changed, for a file that is truncated or damaged, has numbers out
   ///   of range or, where the stream can be positioned, bytes after its end, and naming what
   ///   differs for one that was made with another rig, image size, pyramid or capacity, or by

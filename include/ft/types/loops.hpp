@@ -61,6 +61,10 @@ struct loop_params {
 /// tracking::T_odom_camera and T_world_odom. An exception of a search, such as bad_alloc, is thrown
 /// by the next track(), of which nothing has changed then.
 ///
+/// With tracking_rules::localize_only nothing of that: a camera that is not found in a loaded map
+/// is looked up among its keyframes in the same frame, which waits for it, and tracked in the map
+/// around its place, if that is as evident as for any lost camera.
+///
 /// A keyframe costs its frame a launch and a wait, of one camera two launches.
 ///
 /// The constructor throws bad_argument for parameters out of range, more than one rig, and without

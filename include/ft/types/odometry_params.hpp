@@ -61,8 +61,10 @@ struct tracking_rules {
   /// The camera is tracked in a map of odometry::load_map(), which is not changed: no keyframe
   /// enters it, nothing is adjusted, no loop is looked for, no map begins. A camera that is not
   /// found stays lost. It is searched for near the newest keyframes, and where
-  /// odometry::predict() says. ft::loops does not find it elsewhere, ft::places is refused, and an
-  /// IMU is not used: they need new keyframes.
+  /// odometry::predict() says. With ft::loops, and a map that was made with it, it is then looked
+  /// up among all kept keyframes, in each frame that is not found, and the map around its place
+  /// takes the place of odometry::map() and download_map(); T_odom_camera jumps there. ft::places
+  /// is refused, and an IMU is not used: they need new keyframes.
   bool localize_only = false;
 };
 

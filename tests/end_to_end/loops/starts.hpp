@@ -20,8 +20,10 @@ constexpr pair_of_cameras start_pair{640, 480};
 constexpr double step_m = 0.08;
 constexpr int mapped_frames = 100;
 
-inline ft::odometry_params start_params() {
+/// @param localize_only the map stays as it is
+inline ft::odometry_params start_params(bool localize_only = false) {
   ft::odometry_params p;
+  p.rules.localize_only = localize_only;
   p.orb.width = start_pair.width;
   p.orb.height = start_pair.height;
   p.orb.features = 1000;
@@ -106,7 +108,8 @@ start_result start(Odometry& odometry, wall const& scene, std::string const& map
 
 /// Prints a row. @return starts that were not found in three frames, or elsewhere
 template <typename MakeExec>
-int run_starts(int count, int jobs, MakeExec const& make_exec) {
+int run_starts(int count, int jobs, MakeExec const& make_exec, bool localize_only,
+               unsigned first_seed = 0) {
   wall const scene{7};
   std::string map;
   make_exec([&](auto const& exec) {
@@ -118,8 +121,9 @@ int run_starts(int count, int jobs, MakeExec const& make_exec) {
   });
   std::vector<start_result> results(static_cast<std::size_t>(count));
   in_parallel(count, jobs, make_exec, [&](auto const& exec, int i) {
-    ft::odometry odometry(exec, start_pair.rig(), start_params(), 1, ft::loops{});
-    results[static_cast<std::size_t>(i)] = start(odometry, scene, map, static_cast<unsigned>(i));
+    ft::odometry odometry(exec, start_pair.rig(), start_params(localize_only), 1, ft::loops{});
+    results[static_cast<std::size_t>(i)] =
+        start(odometry, scene, map, first_seed + static_cast<unsigned>(i));
   });
   int found = 0, exact = 0, exact_in_map = 0, wrong = 0;
   std::vector<double> off, in_map;

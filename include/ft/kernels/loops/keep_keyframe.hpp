@@ -100,7 +100,26 @@ struct place_held_point {
   }
 };
 
+/// Item: a keypoint of the only camera.
+struct place_ahead {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int i, float* depth, vec3<float>* point) const {
+    depth[i] = 1;
+    point[i] = {0, 0, 1};
+  }
+};
+
 }  // namespace detail
+
+/// Gives all keypoints of one camera's frame a point that says nothing, so that they are kept.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+/// @param depth, point [count] executor memory
+template <typename Exec>
+void place_all_ahead(Exec const& exec, int count, float* depth, vec3<float>* point) {
+  for_each_item<per_thread>(exec, count, detail::place_ahead{}, depth, point);
+}
 
 /// The map points that the keypoints of one camera's frame hold, instead of depths that it does not
 /// see. Asynchronous on `exec`; allocates nothing; one launch.

@@ -30,6 +30,8 @@ struct loop_rows {
   int query = 0;             ///< row that is looked for
   int const* row = nullptr;  ///< [count] among which
   int count = 0;
+  /// Of one camera: whether the depths of the query's points are known.
+  bool query_has_depths = true;
 };
 
 /// Working memory of match_keyframes(), in executor memory. Nothing has to be initialised.
@@ -144,10 +146,14 @@ struct place_query {
     for (int i = g.rank(); i < n; i += g.size()) { solver.prepare(i, list[i]); }
     solver.solve();
     g.sync();
-    if constexpr (is_monocular_v<Rig>) { compare_depths(g, r, a, rows, work, n, out); }
+    bool const compares = is_monocular_v<Rig> && rows.query_has_depths;
+    if constexpr (is_monocular_v<Rig>) {
+      if (compares) { compare_depths(g, r, a, rows, work, n, out); }
+      if (!compares && g.rank() == 0) { out.scale_sigma = 1; }
+    }
     if (g.rank() != 0) { return; }
     out.T_query_row = work.T[r].template cast<double>();
-    if constexpr (!is_monocular_v<Rig>) { out.inliers = work.inliers[r]; }
+    if (!compares) { out.inliers = work.inliers[r]; }
   }
 
 private:

@@ -32,6 +32,7 @@ inline void check(local_map_params const& p) {
 enum class local_map_mode : int {
   by_votes = 0,  ///< those that share points with the frame
   newest = 1,    ///< the newest ones: the camera is being recovered
+  given = 2,     ///< those that the caller gives votes
 };
 
 /// Inputs of choose_local_map, apart from the map.
@@ -39,6 +40,7 @@ struct local_map_input {
   frame_view frame;                      ///< its counts and holders are read
   local_map_mode const* mode = nullptr;  ///< [batch]
   local_map_params params;
+  int const* votes = nullptr;  ///< [batch][max_keyframes] by position, of the mode `given`; or null
 };
 
 /// A local map of each batch entry, the output of choose_local_map.
@@ -118,8 +120,14 @@ struct rank_local_points {
     for (int i = g.rank(); i < local_map_ranks; i += g.size()) { s.points[i] = 0; }
     for (int i = g.rank(); i < 64; i += g.size()) { s.ranked[i] = 0; }
     g.sync();
-    bool const by_votes = in.mode[chunk.b] == local_map_mode::by_votes;
-    if (by_votes) { vote(g, s, chunk.b, in.frame, map.records); }
+    local_map_mode const mode = in.mode[chunk.b];
+    bool const by_votes = mode != local_map_mode::newest;
+    if (mode == local_map_mode::by_votes) { vote(g, s, chunk.b, in.frame, map.records); }
+    if (mode == local_map_mode::given) {
+      for (int p = g.rank(); p < max_keyframes; p += g.size()) {
+        s.votes[p] = in.votes[chunk.b * max_keyframes + p];
+      }
+    }
     g.sync();
     choose_ranked(g, s, chunk.b, in.params, by_votes, map.keyframes);
     admit(g, s, chunk.b, in.params, by_votes, map.keyframes);
@@ -362,7 +370,8 @@ private:
 /// Each keypoint that holds a point votes for the keyframes that see the point. Keyframes are
 /// taken in this order: the newest one; those with votes, most votes first, newer ones first among
 /// equals, at most `params.keyframes`; the neighbours of the first `params.neighbours` of these. In
-/// the mode `newest`: the newest `params.keyframes`. Each point that one of them sees is chosen
+/// the mode `newest`: the newest `params.keyframes`. In the mode `given` the votes are the
+/// caller's. Each point that one of them sees is chosen
 /// once. If there are more than `out.capacity`, points of earlier keyframes are preferred, then
 /// lower slots, and the others are counted in `out.left_out`.
 ///

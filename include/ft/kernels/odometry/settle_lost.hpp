@@ -65,11 +65,16 @@ struct settle_lost_camera {
     held = g.reduce(held, sum_op{});
     if (g.rank() != 0) { return; }
     camera_track t = state.tracks[b];
-    if (found) {
+    if (found && t.state == tracking_state::tracking) {  // its motion is known
+      auto const T = in.found_T_cw[b].template cast<strict_double>();
+      state.T_cw[b] = T.orthonormalized().template cast<double>();
+    } else if (found) {
       keep_pose(t, state.T_cw[b], in.found_T_cw[b]);
+      t.facts = {};
+    }
+    if (found) {
       in.T_cw[b] = state.T_cw[b].template cast<float>();
       in.inliers[b] = t.agreed = in.found_inliers[b];
-      t.facts = {};
       t.facts.matches = in.found_inliers[b];
       t.facts.evidence = static_cast<int>(in.found_evidence[b] / evidence_one);
       in.matches[b] = held;
@@ -81,6 +86,7 @@ struct settle_lost_camera {
       note_keyframe(t, state.T_cw[b]);
       in.begins[b] = state.order[b] = keyframe_order::begin_map;
     }
+    if (!found && t.state != tracking_state::tracking) { in.inliers[b] = 0; }
     state.tracks[b] = t;
   }
 };

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
@@ -57,13 +58,14 @@ struct loop_search {
   pose_params pose_settings;
   loop_archive_view archive;
   std::unique_ptr<loop_executor<Exec>> where = std::make_unique<loop_executor<Exec>>();
-  loop_path path;           ///< in and out
-  loop_path corrected;      ///< a copy of its keyframes and loops, where `enters`
-  bool searches = true;     ///< in: the newest keyframe is new
-  bool joins_only = false;  ///< in: looks for keyframes of other parts alone
-  int closed = 0;           ///< loops that the last search added
-  correction_slice slice;   ///< of the correction after it; no steps: there is none
-  bool enters = false;      ///< the path has changed
+  loop_path path;                ///< in and out
+  loop_path corrected;           ///< a copy of its keyframes and loops, where `enters`
+  bool searches = true;          ///< in: the newest keyframe is new
+  bool joins_only = false;       ///< in: looks for keyframes of other parts alone
+  bool query_has_depths = true;  ///< in: of one camera, those of the newest keyframe's keypoints
+  int closed = 0;                ///< loops that the last search added
+  correction_slice slice;        ///< of the correction after it; no steps: there is none
+  bool enters = false;           ///< the path has changed
   struct memory {
     int* rows = nullptr;   ///< [keyframes]
     int* votes = nullptr;  ///< [keyframes]
@@ -109,6 +111,30 @@ struct loop_search {
     }
   }
 
+  /// Where the camera of a frame is that was kept as a row, and is no keyframe of the path: what
+  /// the place says that most of its keypoints agree with, if no other one looks as much like it.
+  /// Waits.
+  /// @param known keyframes of the path, which stays as it is
+  std::optional<path_loop> look_up(Exec const& exec, int known, int row, std::int64_t time_ns) {
+    path.keyframes.resize(static_cast<std::size_t>(known));
+    int const part = path.keyframes.back().part;
+    path_keyframe frame;
+    frame.row = row;
+    frame.time_ns = time_ns;
+    frame.map = frame.part = path.keyframes.back().map + 1;
+    path.keyframes.push_back(frame);
+    joins_only = true;
+    query_has_depths = !is_monocular_v<Rig>;
+    std::vector<path_loop> const found = verified(exec);
+    std::optional<path_loop> best;
+    for (path_loop const& l : found) {
+      bool const is_best = !best.has_value() || l.inliers > best->inliers;
+      if (path.at(l.from).part == part && is_best && is_told_apart(l, found)) { best = l; }
+    }
+    path.keyframes.pop_back();
+    return best;
+  }
+
 private:
   /// Adds loops, and says how long the correction takes. Where a map was joined that enters at
   /// once, if the correction takes longer than this.
@@ -132,10 +158,7 @@ private:
   }
   /// @return whether a map was joined
   bool search(Exec const& exec) {
-    int const candidates = vote(exec);
-    if (candidates == 0) { return false; }
-    std::vector<path_loop> found;
-    for (auto const& group : choose(candidates)) { verify(exec, group, found); }
+    std::vector<path_loop> const found = verified(exec);
     std::vector<path_loop> told_apart;  // by the path as it was: close() may move a part of it
     for (path_loop const& l : found) {
       if (is_told_apart(l, found)) { told_apart.push_back(l); }
@@ -143,6 +166,14 @@ private:
     int const part = path.at(query()).part;
     for (path_loop const& l : told_apart) { close(l); }
     return path.at(query()).part != part;
+  }
+  /// The loops of the places that look most like the newest keyframe's.
+  std::vector<path_loop> verified(Exec const& exec) {
+    std::vector<path_loop> found;
+    int const candidates = vote(exec);
+    if (candidates == 0) { return found; }
+    for (auto const& group : choose(candidates)) { verify(exec, group, found); }
+    return found;
   }
   int query() const { return path.size() - 1; }
   /// Whether the query is of a map that is not joined yet.
@@ -229,7 +260,7 @@ private:
     int const n = static_cast<int>(group.size());
     for (int i = 0; i < n; ++i) { s.rows[i] = path.at(group[static_cast<std::size_t>(i)]).row; }
     copy(exec, m.rows, static_cast<int const*>(s.rows), group.size());
-    match_keyframes(exec, rig, archive, {path.at(query()).row, m.rows, n},
+    match_keyframes(exec, rig, archive, {path.at(query()).row, m.rows, n, query_has_depths},
                     static_cast<std::uint64_t>(path.at(query()).time_ns), pose_settings, m.work,
                     m.found);
     copy(exec, s.found, static_cast<loop_match const*>(m.found), group.size());

@@ -20,6 +20,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/loops/keep_keyframe.hpp"
 #include "ft/pipelines/detail/loop_files.hpp"
+#include "ft/pipelines/detail/loop_localizer.hpp"
 #include "ft/pipelines/detail/loop_path.hpp"
 #include "ft/pipelines/detail/loop_search.hpp"
 #include "ft/pipelines/detail/odometry_part.hpp"
@@ -50,6 +51,9 @@ public:
       carve(c, v, params_.keyframes + margin(), params_.points);
     });
     path_.reserve(archive_->rows, params_.groups + search_type::more_to_join);
+    if (stages.settings.rules.localize_only) {
+      localizer_ = std::make_unique<loop_localizer<Exec, Rig>>(stages, archive_.view());
+    }
     forget_all();
     beside_ = std::make_unique<work_beside<host_exec, search_type>>(
         loop_executor<Exec>::threads_of(exec),
@@ -61,6 +65,10 @@ public:
     ++frame_;
     map_ = out.maps;
     closed_now_ = 0;
+    if (localizer_ != nullptr) {
+      if (loaded_) { localize(exec, stages); }
+      return;
+    }
     if (running_ && frame_ == ends_) { go_on(); }
     bool const kept = out.keyframe != 0 || (seeks() && out.state == tracking_state::tracking);
     if (kept && (!awaits_scale_ || out.maps == metric_map_)) { keep(exec, stages, out); }
@@ -72,7 +80,7 @@ public:
   }
   void describe(int, std::int64_t, tracking& t) override {
     if (t.metric) { metric_map_ = t.maps; }
-    if (t.imu.known && of_first_part() && of_path(t.maps)) {
+    if (t.imu.known && localizer_ == nullptr && of_first_part() && of_path(t.maps)) {
       path_.gravity = T_world_odom_.R * t.imu.gravity;
     }
     tell_correction(t);
@@ -83,6 +91,9 @@ public:
     t.loops_closed = closed_now_;
   }
   void reset(int) override { forget_all(); }
+  odometry_map_view const* loaded_map() const override {
+    return localizer_ != nullptr && loaded_ ? &localizer_->loaded() : nullptr;
+  }
   void save(Exec const& exec, std::ostream& to) const override {
     require(!awaits_scale_ || of_path(map_),
             "the map is not saved: its scale is not known yet, and the places before it have one");
@@ -123,7 +134,8 @@ public:
   }
   allocated_bytes bytes() const override {
     search_type const& s = beside_->work();
-    return {archive_.bytes() + s.memory_.bytes(), s.staging_.bytes()};
+    allocated_bytes const own{archive_.bytes() + s.memory_.bytes(), s.staging_.bytes()};
+    return localizer_ != nullptr ? own + localizer_->bytes() : own;
   }
 
 private:
@@ -167,6 +179,38 @@ private:
     keep_keyframe(exec, with_points(exec, stages), 0, k.row, archive_.view());
     exec.wait();
     path_.keyframes.push_back(k);
+  }
+  /// A camera that was not found is placed where a pose is given, else where a place is recognised;
+  /// one that is tracked gets another part of the map where it leaves its own.
+  void localize(Exec const& exec, stages_type const& stages) {
+    odometry_output const& out = stages.own.outputs[0];
+    if (out.state == tracking_state::tracking) {
+      auto const T_world_camera = in_world(out.T_cw.inverse());
+      if (localizer_->leaves(path_, T_world_camera)) {
+        localizer_->place(exec, path_, T_world_camera, T_world_odom_);
+      }
+      return;
+    }
+    odometry_input const& in = stages.own.inputs[0];
+    auto const place = [&](similarity<double> const& T_world_camera) {
+      return localizer_->place(exec, path_, T_world_camera, T_world_odom_);
+    };
+    if (in.predicted != 0 && place(in_world(in.T_cw.inverse()))) { return; }
+    int const row = archive_->rows - 1;  // of the margin
+    keep_keyframe(exec, with_any_points(exec, stages), 0, row, archive_.view());
+    auto const found = beside_->work().look_up(exec, path_.size(), row, in.time_ns);
+    if (found.has_value()) { place(path_.at(found->from).T_world_camera * found->T_from_to); }
+  }
+  /// The frame with the depths of its keypoints: of one camera with any, which are not read.
+  static auto with_any_points([[maybe_unused]] Exec const& exec, stages_type const& stages) {
+    auto in = stages.as_keyframe();
+    if constexpr (one_camera) {
+      auto const& seen = stages.beginning.points();
+      place_all_ahead(exec, in.frame.capacity(), seen.depth, seen.point);
+      in.depth = seen.depth;
+      in.point = seen.point;
+    }
+    return in;
   }
   /// All of the margin is used: what runs is waited for.
   void make_room() {
@@ -282,6 +326,10 @@ private:
     T_world_odom_ = path_.T_world_odom();
     corrected_ = loaded_ = path_.size() > 0;
     if (awaits_scale_ && loaded_) { metric_map_ = path_.keyframes.back().map; }
+    if (localizer_ != nullptr && loaded_) {
+      localizer_->load(exec, path_, from.archive.view());
+      beside_->work().path = path_;
+    }
   }
   void forget_all() {
     if (running_) { finish(); }
@@ -313,6 +361,7 @@ private:
   bool searched_path_differs_ = true;  ///< from path_, by more than that new keyframes are missing
   bool loaded_ = false;                ///< the path began with that of a file
   std::exception_ptr failure_;         ///< of a search
+  std::unique_ptr<loop_localizer<Exec, Rig>> localizer_;  ///< of a map that is not changed
   std::unique_ptr<saved_loops<Exec>> saved_;  ///< that were read, and enter with forget()
   bool corrected_ = false;                    ///< T_world_odom_ is not the identity
   std::unique_ptr<work_beside<host_exec, search_type>> beside_;  ///< last: it uses the archive

@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "ft/containers/odometry_map.hpp"
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/config.hpp"
 #include "ft/pipelines/detail/sample_queue.hpp"
@@ -75,6 +76,9 @@ public:
   virtual void list_placed(std::vector<placed_keyframe>& /*to*/) const {}
   /// Adds the loops between them.
   virtual void list_closed(std::vector<closed_loop>& /*to*/) const {}
+  /// The map as it was loaded, in executor memory, if the odometry's own is a part of it now; else
+  /// null.
+  virtual odometry_map_view const* loaded_map() const { return nullptr; }
   /// Writes what belongs to a map, behind it. Waits, and allocates.
   virtual void save(Exec const&, std::ostream&) const {}
   /// Reads and checks what save() has written, or null, for the forget() that follows. Allocates.

@@ -153,9 +153,10 @@ public:
     propose_poses(exec, in, settings.rules, own.state, own.windowless);
     refine_proposals(exec, in, settings.rules, own.state, own.windowless, this->pose_settings);
   }
-  void choose_local(Exec const& exec) const {
-    choose_local_map(exec, {memory.frame, own.state.mode, settings.local_map}, own.map, local_map(),
-                     own.local_work);
+  /// @param votes as in local_map_input
+  void choose_local(Exec const& exec, int const* votes = nullptr) const {
+    choose_local_map(exec, {memory.frame, own.state.mode, settings.local_map, votes}, own.map,
+                     local_map(), own.local_work);
   }
 
   /// After the last pose, and after all that reads depths beside it.

@@ -69,17 +69,17 @@ camera_masks::mask camera_masks::of(std::size_t i) const {
 
 /// Of 0 and 255. A pixel that is moved is allowed where all pixels are that it comes from.
 image camera_masks::read(std::string const& path) const {
-  image mask = read_image(path, 8);
-  check_image_size(path, mask.width, mask.height, raw_);
+  image loaded = read_image(path, 8);
+  check_image_size(path, loaded.width, loaded.height, raw_);
   auto const sharpen = [&](std::uint8_t least) {
-    for (std::uint8_t& v : mask.pixels) { v = v >= least ? 255 : 0; }
+    for (std::uint8_t& v : loaded.pixels) { v = v >= least ? 255 : 0; }
   };
   sharpen(1);
   if (move_) {
-    mask = move_(mask);
+    loaded = move_(loaded);
     sharpen(255);
   }
-  return mask;
+  return loaded;
 }
 
 }  // namespace seq::detail

@@ -24,7 +24,9 @@ std::map<std::string, std::string> masks_by_name(fs::path const& folder) {
   std::error_code failure;
   for (fs::directory_iterator it(folder, failure), end; !failure && it != end;
        it.increment(failure)) {
-    masks.emplace(it->path().stem().string(), it->path().string());
+    std::string const path = it->path().string();
+    auto const at = masks.emplace(it->path().stem().string(), path).first;
+    at->second = std::min(at->second, path);  // whatever the order of the folder
   }
   return masks;
 }

@@ -33,7 +33,8 @@ ft::odometry_params odometry_settings(sequence const& recording, int features = 
 ft::imu_params odometry_imu(sequence const& recording);
 ft::imu_measurement odometry_sample(imu_sample const& sample);
 
-/// The images of a frame, which outlives them; of a rig those that cameras miss are null.
+/// The images of a frame, which outlives them; of a rig those that cameras miss are null. Masks of
+/// a frame (stereo_frame::masks) are not in it: any_odometry::set_mask().
 ft::any_images odometry_images(stereo_frame const& frame);
 
 ft::rigid<double> odometry_pose(Eigen::Isometry3d const& T);

@@ -93,8 +93,7 @@ struct split_motions_of_frame {
     frame_observations const of{in, b, busiest(g, b, in), kept.work};
     int const chosen = find_two(g, s, of, t);
     if (chosen >= 0) {
-      choose(g, s, of, chosen);
-      forget_depths(g, s, of, chosen);
+      if (choose(g, s, of, chosen)) { forget_depths(g, s, of, chosen); }
       if (g.rank() == 0) { note(s, of, t, chosen); }
       return;
     }
@@ -148,7 +147,7 @@ private:
     FT_HOST_DEVICE proposal_refinement& refined() const { return work.refined[b]; }
     /// Squared error of a pose of the body, in eighths of a variance.
     FT_HOST_DEVICE int error(rigid<double> const& T_bw, observation const& o) const {
-      distant_matches const m{in.rig, camera, nullptr, 0};
+      distant_matches const m{in.rig, Rig::rectified ? o.camera : camera, nullptr, 0};
       auto const T_cw = m.of_camera(T_bw.template cast<strict_double>());
       return m.error(T_cw.template cast<strict_float>(), o);
     }
@@ -356,16 +355,27 @@ private:
   }
 
   /// The frame's pose is that of the chosen motion, by the matches that agree with it better than
-  /// with the other one. The others release their points.
+  /// with the other one. The others release their points. @return false, and nothing is changed,
+  /// where most of the chosen ones were left out for the pose before, so that their points are
+  /// held no more
   template <typename Group>
-  FT_HOST_DEVICE void choose(Group g, scratch& s, frame_observations const& of, int chosen) const {
+  FT_HOST_DEVICE bool choose(Group g, scratch& s, frame_observations const& of, int chosen) const {
     motions_of_frames<Rig> const& in = of.in;
     rigid<double> const& T = s.T[chosen];
     rigid<double> const& other = s.T[1 - chosen];
-    int const n = of.keep(g, [&](observation const& o) {
+    auto const agrees_better = [&](observation const& o) {
       int const e = of.error(T, o);
       return e < most && e < of.error(other, o);
-    });
+    };
+    int held = 0;
+    for (int i = g.rank(); i < of.count(); i += g.size()) {
+      observation const o = of.at(i);
+      bool const is = o.camera == of.camera && in.observations.outlier[of.first() + i] == 0;
+      held += static_cast<int>(is && agrees_better(o));
+    }
+    held = g.reduce(held, sum_op{});
+    int const n = of.keep(g, agrees_better);
+    if (held < max_of(least, n / 2)) { return false; }
     optimize(g, s, of, n, T, in.information + of.b * information_terms);
     if (g.rank() == 0) {
       in.T_cw[of.b] = of.refined().T_cw;
@@ -381,9 +391,10 @@ private:
       std::ptrdiff_t const at = of.first() + i;
       observation const o = of.at(i);
       int const e = of.error(s.T[chosen], o);
-      // What is far agrees with both.
-      bool const agrees =
-          o.camera != of.camera || e < distant || (e < most && e < of.error(other, o));
+      // What is far agrees with both. Of two cameras that are not rectified the other one is not
+      // asked.
+      bool const asked = Rig::rectified || o.camera == of.camera;
+      bool const agrees = !asked || e < distant || (e < most && e < of.error(other, o));
       if (!agrees) {
         in.observations.outlier[at] = 1;
         holder[in.observations.number[at]] = -1;
@@ -392,6 +403,7 @@ private:
     }
     kept = g.reduce(kept, sum_op{});
     if (g.rank() == 0) { in.observations.inliers[of.b] = kept; }
+    return true;
   }
 
   /// Where the other motion has most matches, keypoints that hold no point become none.

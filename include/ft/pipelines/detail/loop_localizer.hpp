@@ -51,7 +51,7 @@ public:
     staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
       c.place({most_}, s.page);
       c.place({max_keyframes}, s.votes);
-      c.place({1}, s.T_cw, s.radius_factor, s.mode, s.outcome);
+      c.place({1}, s.T_cw, s.radius_factor, s.mode, s.outcome, s.evidence, s.inliers);
     });
   }
 
@@ -136,6 +136,8 @@ private:
     float* radius_factor = nullptr;
     local_map_mode* mode = nullptr;
     place_outcome* outcome = nullptr;
+    std::int64_t* evidence = nullptr;
+    int* inliers = nullptr;
   };
 
   /// Median distance of the points of a row; 0 without any.
@@ -196,14 +198,18 @@ private:
     at_ = in_loaded_;
     is_page_ = false;
   }
-  /// In the map, first with a wide radius, then from where that has led to. @return whether the
-  /// frame is tracked
+  /// In the map, first with a wide radius, then from where that has led to. @return whether what is
+  /// found there is evident, as settle_lost_frames() judges it: a frame that was tracked before
+  /// stays tracked without
   bool search_around(Exec const& exec, pose const& T_cw) const {
     search_twice(exec, T_cw);
+    copy(exec, staging_->evidence, static_cast<std::int64_t const*>(memory_->evidence), 1);
+    copy(exec, staging_->inliers, static_cast<int const*>(stages_.memory.observations.inliers), 1);
     bool const begins = is_page_ && !localize_only();
     *staging_->outcome = begins ? place_outcome::begins_map : place_outcome::known;
     settle(exec);
-    return stages_.own.outputs[0].state == tracking_state::tracking;
+    tracking_rules const& rules = stages_.settings.rules;
+    return *staging_->inliers >= rules.min_recovered && is_enough(*staging_->evidence, rules);
   }
   void search_twice(Exec const& exec, pose const& T_cw) const {
     exec.wait();  // for what is staged

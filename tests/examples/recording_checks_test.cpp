@@ -260,7 +260,7 @@ TEST(RecordingChecks, EveryRefusedFolderSaysWhatIsAccepted) {
             kind::any,
             "accepted is a line"},
            {{"0.png", "1.png"},
-            {one, {"times.txt", "1.5\n9\n"}},
+            {one, {"times.txt", "1.5\n9x\n"}},
             "",
             kind::any,
             "accepted is a line"},

@@ -29,10 +29,8 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Tracks the frame of a camera that was not found in a loaded map around the place that it may be
-/// at: in that map, or in a page, the keyframes that are kept around the place. With
-/// tracking_rules::localize_only the page is the odometry's map from then on, else a new map begins
-/// in the frame.
+/// The map of an odometry that has tracking_rules::localize_only is the loaded one until the camera
+/// is placed elsewhere: then a page of it, the keyframes that are kept around that place.
 template <typename Exec, typename Rig>
 class loop_localizer {
   using stages_type = odometry_stages<Exec, Rig>;
@@ -42,7 +40,11 @@ public:
   loop_localizer(stages_type const& stages, loop_archive_view const& archive)
       : stages_(stages), archive_(archive) {
     keyframes_view const& k = stages.own.map.keyframes;
-    most_ = min_of(k.positions, stages.own.map.records.slots / archive.points);
+    int const slots = stages.own.map.records.slots;
+    most_ = min_of(k.positions, slots / archive.points);
+    loaded_ = owner<odometry_map_view, space>([&](carver& c, odometry_map_view& v) {
+      carve(c, v, {slots, {k.positions, k.cameras, k.capacity}}, 1);
+    });
     memory_ = owner<memory, space>([&](carver& c, memory& m) {
       c.place({most_}, m.page);
       c.place({max_keyframes}, m.votes);
@@ -59,11 +61,8 @@ public:
   /// @param path its keyframes @param archive their rows, in host memory
   void load(Exec const& exec, loop_path const& path, loop_archive_view const& archive) {
     odometry_map_view const& map = stages_.own.map;
-    keyframes_view const& k = map.keyframes;
-    loaded_ = owner<odometry_map_view, space>([&](carver& c, odometry_map_view& v) {
-      carve(c, v, {map.records.slots, {k.positions, k.cameras, k.capacity}}, 1);
-    });
     copy_columns(exec, loaded_.view(), map);
+    keyframes_view const& k = map.keyframes;
     int const made = downloaded(exec, k.made, 1)[0], count = downloaded(exec, k.count, 1)[0];
     auto const times = downloaded(exec, k.time_ns, static_cast<std::size_t>(k.positions));
     in_loaded_.assign(path.keyframes.size(), -1);
@@ -81,8 +80,6 @@ public:
     at_ = in_loaded_;
     is_page_ = false;
   }
-  /// The map goes on.
-  void forget() { loaded_ = {}; }
   odometry_map_view const& loaded() const { return loaded_.view(); }
   allocated_bytes bytes() const { return {memory_.bytes() + loaded_.bytes(), staging_.bytes()}; }
 
@@ -108,19 +105,15 @@ public:
     if (n == 0) { return false; }
     auto const T = (T_world_odom.inverse() * T_world_camera).orthonormalized();
     pose const T_cw = without_scale(T).inverse().template cast<float>();
-    if (in_loaded_[static_cast<std::size_t>(nearest())] >= 0) {
+    if (in_loaded_[static_cast<std::size_t>(order_[0])] >= 0) {
       show_loaded(exec);
       if (search_around(exec, T_cw)) { return true; }
     }
-    // One camera begins a map by its motion.
-    if (stages_type::starts_from_motion && !localize_only()) { return false; }
     show_page(exec, path, T_world_odom, n);
     if (search_around(exec, T_cw)) { return true; }
     show_loaded(exec);
     return false;
   }
-  /// Of the path, to the pose of the last place().
-  int nearest() const { return order_[0]; }
 
 private:
   struct memory {
@@ -202,16 +195,6 @@ private:
   /// found there is evident, as settle_lost_frames() judges it: a frame that was tracked before
   /// stays tracked without
   bool search_around(Exec const& exec, pose const& T_cw) const {
-    search_twice(exec, T_cw);
-    copy(exec, staging_->evidence, static_cast<std::int64_t const*>(memory_->evidence), 1);
-    copy(exec, staging_->inliers, static_cast<int const*>(stages_.memory.observations.inliers), 1);
-    bool const begins = is_page_ && !localize_only();
-    *staging_->outcome = begins ? place_outcome::begins_map : place_outcome::known;
-    settle(exec);
-    tracking_rules const& rules = stages_.settings.rules;
-    return *staging_->inliers >= rules.min_recovered && is_enough(*staging_->evidence, rules);
-  }
-  void search_twice(Exec const& exec, pose const& T_cw) const {
     exec.wait();  // for what is staged
     std::fill_n(staging_->votes, max_keyframes, 0);
     int votes = static_cast<int>(order_.size());
@@ -226,8 +209,9 @@ private:
     copy(exec, stages_.memory.poses, static_cast<pose const*>(staging_->T_cw), 1);
     search(exec, stages_.settings.rules.first_wide_search);
     search(exec, 1);
-    weigh_recoveries(exec, stages_.local_input(), stages_.params.local_points, stages_.memory.frame,
-                     stages_.memory.map, stages_.memory.observations.inliers, memory_->evidence);
+    settle(exec);
+    tracking_rules const& rules = stages_.settings.rules;
+    return *staging_->inliers >= rules.min_recovered && is_enough(*staging_->evidence, rules);
   }
   /// From memory.poses, of which the optimised pose takes the place.
   void search(Exec const& exec, float radius_factor) const {
@@ -244,12 +228,11 @@ private:
     stages_.assign_local_map(exec);
     stages_.optimize_local(exec);
   }
-  bool localize_only() const { return stages_.settings.rules.localize_only; }
   /// What the frame's searches say becomes its result.
   void settle(Exec const& exec) const {
+    *staging_->outcome = place_outcome::known;
     looked_up_frames in;
     in.frame = stages_.memory.frame;
-    in.begins_maps = false;
     in.outcome = staging_->outcome;
     in.found_T_cw = in.T_cw = stages_.memory.poses;
     in.found_inliers = in.inliers = stages_.memory.observations.inliers;
@@ -257,10 +240,11 @@ private:
     in.matches = stages_.memory.local_work.matches;
     in.matched = stages_.own.matched;
     in.begins = memory_->begins;
+    weigh_recoveries(exec, stages_.local_input(), stages_.params.local_points, stages_.memory.frame,
+                     stages_.memory.map, in.found_inliers, memory_->evidence);
+    copy(exec, staging_->evidence, static_cast<std::int64_t const*>(memory_->evidence), 1);
+    copy(exec, staging_->inliers, static_cast<int const*>(in.found_inliers), 1);
     settle_lost_frames(exec, stages_.settings.rules, in, stages_.own.state);
-    if constexpr (!stages_type::starts_from_motion) {
-      if (!localize_only()) { stages_.insert(exec, memory_->begins); }
-    }
     stages_.keep_counts(exec);
     stages_.pack_matches(exec, stages_.outcome_of_local());
     stages_.pack_outputs(exec, nullptr);

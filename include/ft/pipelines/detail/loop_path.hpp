@@ -104,11 +104,8 @@ struct loop_path {
   path_keyframe const& at(int i) const { return keyframes[static_cast<std::size_t>(i)]; }
   /// From the frame of the odometry to the world, as the newest keyframe says.
   similarity<double> T_world_odom() const {
-    return keyframes.empty() ? similarity<double>::identity() : T_world_odom(size() - 1);
-  }
-  /// The same as keyframe i says.
-  similarity<double> T_world_odom(int i) const {
-    auto const& k = at(i);
+    if (keyframes.empty()) { return similarity<double>::identity(); }
+    auto const& k = keyframes.back();
     return (k.T_world_camera * with_scale(k.T_odom_camera.inverse())).orthonormalized();
   }
 
@@ -188,24 +185,6 @@ struct loop_path {
     };
     double const likely = scaled ? 24.32 : 22.46;  // 99.9 % of 7 and 6 degrees of freedom
     return chi2(a) < likely && chi2(b) < likely;
-  }
-
-  /// Ties a keyframe that follows, whose place is known beside keyframe `from`, to that: as of the
-  /// newest one nothing is known of their motion. @param inliers of its pose
-  void tie(int from, int inliers, path_keyframe& k) {
-    path_loop l;
-    l.from = from;
-    l.to = size();
-    l.inliers = inliers;
-    l.T_from_to = (at(from).T_world_camera.inverse() * k.T_world_camera).orthonormalized();
-    std::copy(k.information, k.information + 21, l.information);
-    l.scale_information = 1e4;  // 1 %
-    loops.push_back(l);
-    k.part = at(from).part;
-    k.step = 0;
-    for (int i = 0, n = 0; i < 6; ++i) {
-      for (int j = i; j < 6; ++j) { k.information[n++] = i == j ? 1e-6 : 0; }
-    }
   }
 
   /// A loop to another part waits until one of another keyframe agrees with it; then the parts are

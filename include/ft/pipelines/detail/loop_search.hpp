@@ -132,7 +132,6 @@ struct loop_search {
       if (path.at(l.from).part == part && is_best && is_told_apart(l, found)) { best = l; }
     }
     path.keyframes.pop_back();
-    query_has_depths = true;
     return best;
   }
 

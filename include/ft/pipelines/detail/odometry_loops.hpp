@@ -20,7 +20,6 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/loops/keep_keyframe.hpp"
 #include "ft/pipelines/detail/loop_files.hpp"
-#include "ft/pipelines/detail/loop_frames.hpp"
 #include "ft/pipelines/detail/loop_localizer.hpp"
 #include "ft/pipelines/detail/loop_path.hpp"
 #include "ft/pipelines/detail/loop_search.hpp"
@@ -52,8 +51,9 @@ public:
       carve(c, v, params_.keyframes + margin(), params_.points);
     });
     path_.reserve(archive_->rows, params_.groups + search_type::more_to_join);
-    localize_only_ = stages.settings.rules.localize_only;
-    localizer_ = std::make_unique<loop_localizer<Exec, Rig>>(stages, archive_.view());
+    if (stages.settings.rules.localize_only) {
+      localizer_ = std::make_unique<loop_localizer<Exec, Rig>>(stages, archive_.view());
+    }
     forget_all();
     beside_ = std::make_unique<work_beside<host_exec, search_type>>(
         loop_executor<Exec>::threads_of(exec),
@@ -63,13 +63,12 @@ public:
   void after_frame(Exec const& exec, stages_type const& stages) override {
     odometry_output const& out = stages.own.outputs[0];
     ++frame_;
+    map_ = out.maps;
     closed_now_ = 0;
-    if (localize_only_) {
+    if (localizer_ != nullptr) {
       if (loaded_) { localize(exec, stages); }
       return;
     }
-    if (looking_) { find_in_loaded(exec, stages); }
-    map_ = out.maps;
     if (running_ && frame_ == ends_) { go_on(); }
     bool const kept = out.keyframe != 0 || (seeks() && out.state == tracking_state::tracking);
     if (kept && (!awaits_scale_ || out.maps == metric_map_)) { keep(exec, stages, out); }
@@ -81,7 +80,7 @@ public:
   }
   void describe(int, std::int64_t, tracking& t) override {
     if (t.metric) { metric_map_ = t.maps; }
-    if (t.imu.known && !localize_only_ && of_first_part() && of_path(t.maps)) {
+    if (t.imu.known && localizer_ == nullptr && of_first_part() && of_path(t.maps)) {
       path_.gravity = T_world_odom_.R * t.imu.gravity;
     }
     tell_correction(t);
@@ -93,7 +92,7 @@ public:
   }
   void reset(int) override { forget_all(); }
   odometry_map_view const* loaded_map() const override {
-    return localize_only_ && loaded_ ? &localizer_->loaded() : nullptr;
+    return localizer_ != nullptr && loaded_ ? &localizer_->loaded() : nullptr;
   }
   void save(Exec const& exec, std::ostream& to) const override {
     require(!awaits_scale_ || of_path(map_),
@@ -117,7 +116,6 @@ public:
   }
   void forget(Exec const& exec, int, tracking& last) override {
     forget_all();
-    looking_ = saved_ != nullptr;
     if (saved_ != nullptr) { enter(exec, *std::exchange(saved_, nullptr)); }
     last.metric = last.metric || metric_map_ > 0;
     tell_correction(last);
@@ -137,7 +135,7 @@ public:
   allocated_bytes bytes() const override {
     search_type const& s = beside_->work();
     allocated_bytes const own{archive_.bytes() + s.memory_.bytes(), s.staging_.bytes()};
-    return own + localizer_->bytes();
+    return localizer_ != nullptr ? own + localizer_->bytes() : own;
   }
 
 private:
@@ -178,12 +176,7 @@ private:
       k.step = goes_on ? std::sqrt(dot(step, step)) : 0.0;
       k.part = goes_on ? last.part : k.map;
     }
-    if (anchor_ >= 0) {
-      path_.tie(std::exchange(anchor_, -1), std::min(out.inliers, params_.points), k);
-      ++closed_now_;
-      searched_path_differs_ = true;
-    }
-    keep_keyframe(exec, frame_with_points(exec, stages), 0, k.row, archive_.view());
+    keep_keyframe(exec, with_points(exec, stages), 0, k.row, archive_.view());
     exec.wait();
     path_.keyframes.push_back(k);
   }
@@ -198,34 +191,26 @@ private:
       }
       return;
     }
-    find(exec, stages);
-  }
-  /// @return whether the frame is tracked now
-  bool find(Exec const& exec, stages_type const& stages) {
     odometry_input const& in = stages.own.inputs[0];
     auto const place = [&](similarity<double> const& T_world_camera) {
       return localizer_->place(exec, path_, T_world_camera, T_world_odom_);
     };
-    if (in.predicted != 0 && place(in_world(in.T_cw.inverse()))) { return true; }
+    if (in.predicted != 0 && place(in_world(in.T_cw.inverse()))) { return; }
     int const row = archive_->rows - 1;  // of the margin
-    keep_keyframe(exec, frame_with_any_points(exec, stages), 0, row, archive_.view());
+    keep_keyframe(exec, with_any_points(exec, stages), 0, row, archive_.view());
     auto const found = beside_->work().look_up(exec, path_.size(), row, in.time_ns);
-    return found.has_value() && place(path_.at(found->from).T_world_camera * found->T_from_to);
+    if (found.has_value()) { place(path_.at(found->from).T_world_camera * found->T_from_to); }
   }
-  /// A camera that is not found near the newest keyframes of a loaded map is looked up in each
-  /// frame until there is a keyframe, and the map goes on there, or a new one that is joined with
-  /// it.
-  void find_in_loaded(Exec const& exec, stages_type const& stages) {
-    odometry_output const& out = stages.own.outputs[0];
-    if (out.state == tracking_state::tracking) {
-      if (out.begins_map != 0) { anchor_ = -1; }
-    } else if (loaded_ && find(exec, stages)) {
-      anchor_ = localizer_->nearest();
-      // The odometry has drifted from there to where it ended.
-      if (out.begins_map == 0) { T_world_odom_ = path_.T_world_odom(anchor_); }
+  /// The frame with the depths of its keypoints: of one camera with any, which are not read.
+  static auto with_any_points([[maybe_unused]] Exec const& exec, stages_type const& stages) {
+    auto in = stages.as_keyframe();
+    if constexpr (one_camera) {
+      auto const& seen = stages.beginning.points();
+      place_all_ahead(exec, in.frame.capacity(), seen.depth, seen.point);
+      in.depth = seen.depth;
+      in.point = seen.point;
     }
-    looking_ = out.keyframe == 0;
-    if (!looking_) { localizer_->forget(); }
+    return in;
   }
   /// All of the margin is used: what runs is waited for.
   void make_room() {
@@ -237,6 +222,17 @@ private:
     path_.thin([this](int row) { free_.push_back(row); });
     searched_ = std::max(searched_ - (before - path_.size()), 0);
     searched_path_differs_ = true;
+  }
+  /// The frame with the depths of its keypoints: of one camera those of the map.
+  static auto with_points([[maybe_unused]] Exec const& exec, stages_type const& stages) {
+    auto in = stages.as_keyframe();
+    if constexpr (one_camera) {
+      auto const& seen = stages.beginning.points();  // the next keyframe writes it anew
+      place_held_points(exec, in, stages.own.map.points, seen.depth, seen.point);
+      in.depth = seen.depth;
+      in.point = seen.point;
+    }
+    return in;
   }
   similarity<double> in_world(rigid<double> const& T_odom_camera) const {
     return (T_world_odom_ * with_scale(T_odom_camera)).orthonormalized();
@@ -330,7 +326,7 @@ private:
     T_world_odom_ = path_.T_world_odom();
     corrected_ = loaded_ = path_.size() > 0;
     if (awaits_scale_ && loaded_) { metric_map_ = path_.keyframes.back().map; }
-    if (loaded_) {
+    if (localizer_ != nullptr && loaded_) {
       localizer_->load(exec, path_, from.archive.view());
       beside_->work().path = path_;
     }
@@ -338,8 +334,7 @@ private:
   void forget_all() {
     if (running_) { finish(); }
     failure_ = nullptr;
-    corrected_ = loaded_ = looking_ = false;
-    anchor_ = -1;
+    corrected_ = loaded_ = false;
     path_.clear();
     free_.clear();
     for (int i = archive_->rows - 1; i >= 0; --i) { free_.push_back(i); }
@@ -366,10 +361,7 @@ private:
   bool searched_path_differs_ = true;  ///< from path_, by more than that new keyframes are missing
   bool loaded_ = false;                ///< the path began with that of a file
   std::exception_ptr failure_;         ///< of a search
-  std::unique_ptr<loop_localizer<Exec, Rig>> localizer_;
-  bool localize_only_ = false;
-  bool looking_ = false;  ///< a map was loaded, and no keyframe was made since
-  int anchor_ = -1;       ///< keyframe of the path, beside which the next one is; -1 = the newest
+  std::unique_ptr<loop_localizer<Exec, Rig>> localizer_;  ///< of a map that is not changed
   std::unique_ptr<saved_loops<Exec>> saved_;  ///< that were read, and enter with forget()
   bool corrected_ = false;                    ///< T_world_odom_ is not the identity
   std::unique_ptr<work_beside<host_exec, search_type>> beside_;  ///< last: it uses the archive

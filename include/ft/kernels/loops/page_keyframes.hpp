@@ -4,7 +4,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/loop_archive.hpp"
@@ -15,6 +14,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/map/detail/describe_point.hpp"
+#include "ft/kernels/map/point_masks.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
 
@@ -72,19 +72,14 @@ private:
   }
   /// @param position of the keyframe that sees the point; -1 = the slot is free
   FT_HOST_DEVICE static void write_record(int slot, int position, odometry_map_view const& to) {
+    free_slot(to, 0, slot);
     point_records_view const& r = to.records;
-    int const there = position < 0 ? 0 : 1;
-    r.number[slot] = there * (slot + 1);
-    r.visible[slot] = r.found[slot] = r.described[slot] = there;
     r.found_frame[slot] = 0;
-    for (int w = 0; w < r.words; ++w) { r.mask(0, slot)[w] = 0; }
-    get<field::observations>(to.points, slot) = there;
-    if (there != 0) {
-      r.mask(0, slot)[position / 64] = std::uint64_t{1} << (position % 64);
-    } else {
-      float const none = std::numeric_limits<float>::quiet_NaN();
-      get<field::position>(to.points, slot) = {none, none, none};
-    }
+    if (position < 0) { return; }
+    r.number[slot] = slot + 1;
+    r.visible[slot] = r.found[slot] = r.described[slot] = 1;
+    r.mask(0, slot)[position / 64] = std::uint64_t{1} << (position % 64);
+    get<field::observations>(to.points, slot) = 1;
   }
   FT_HOST_DEVICE void write_point(paged_keyframe const& k, loop_archive_view const& from,
                                   std::ptrdiff_t at, int slot, odometry_map_view const& to) const {

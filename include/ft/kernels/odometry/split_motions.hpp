@@ -220,7 +220,7 @@ private:
   template <typename Group>
   FT_HOST_DEVICE static int busiest(Group g, int b, motions_of_frames<Rig> const& in) {
     constexpr int cameras = Rig::rectified ? Rig::cameras : 1;
-    int best = 0, most = -1;
+    int best = 0, largest = -1;
     for (int c = 0; cameras > 1 && c < cameras; ++c) {
       int mine = 0;
       for (int i = g.rank(); i < in.observations.count[b]; i += g.size()) {
@@ -228,8 +228,8 @@ private:
         mine += static_cast<int>(in.observations.items[at].camera == c);
       }
       int const all = g.reduce(mine, sum_op{});
-      best = all > most ? c : best;
-      most = max_of(all, most);
+      best = all > largest ? c : best;
+      largest = max_of(all, largest);
     }
     return best;
   }

@@ -87,7 +87,7 @@ public:
     virtual odometry_map download_map(int b) const = 0;
     virtual std::vector<placed_keyframe> placed_keyframes(int b) const = 0;
     virtual std::vector<closed_loop> closed_loops(int b) const = 0;
-    virtual void save_map(std::ostream& to, int b) const = 0;
+    virtual map_snapshot snapshot_map(int b) const = 0;
     virtual void load_map(std::istream& from, int b) = 0;
     virtual std::vector<stage_time> stage_times() const = 0;
     virtual allocated_bytes memory_bytes() const = 0;
@@ -141,7 +141,8 @@ public:
     return made().placed_keyframes(b);
   }
   std::vector<closed_loop> closed_loops(int b = 0) const { return made().closed_loops(b); }
-  void save_map(std::ostream& to, int b = 0) const { made().save_map(to, b); }
+  map_snapshot snapshot_map(int b = 0) const { return made().snapshot_map(b); }
+  void save_map(std::ostream& to, int b = 0) const { snapshot_map(b).write(to); }
   void load_map(std::istream& from, int b = 0) { made().load_map(from, b); }
   std::vector<stage_time> stage_times() const { return made().stage_times(); }
   allocated_bytes memory_bytes() const { return made().memory_bytes(); }

@@ -6,7 +6,7 @@ caller raises ValueError, anything else RuntimeError.
 """
 
 from ._ft import (
-    DoubleSphere, ExtendedUnified, FieldOfView, KannalaBrandt, Pinhole, PlaceRecognition, RadTan, Tracking, Unified,
+    DoubleSphere, ExtendedUnified, FieldOfView, KannalaBrandt, MapSnapshot, Pinhole, PlaceRecognition, RadTan, Tracking, Unified,
     __version__, devices,
 )
 from .features import ImageFeatures, Keypoints, OrbExtractor, StereoMatcher, StereoMatches
@@ -21,7 +21,7 @@ from .streams import Stream
 
 __all__ = [
     "CalibrationWarning", "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame",
-    "ImageFeatures", "Imu", "KannalaBrandt", "Keypoints", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole",
+    "ImageFeatures", "Imu", "KannalaBrandt", "Keypoints", "MapSnapshot", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole",
     "PlaceRecognition", "RadTan", "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher",
     "StereoMatches", "Stream", "Tracking", "Trajectory", "Unified", "__version__", "check_calibration", "devices",
     "evaluate", "read_sequence", "read_tum",

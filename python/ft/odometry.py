@@ -258,7 +258,12 @@ class Odometry:
 
     def save_map(self, b: int = 0) -> bytes:
         """The map as bytes for load_map()."""
-        return self._pipeline.save_map(b)
+        return self.snapshot_map(b).tobytes()
+
+    def snapshot_map(self, b: int = 0) -> _ft.MapSnapshot:
+        """A copy of the map, whose tobytes() may be called on a thread while tracking goes on. Takes a tenth of save_map()'s
+        time, or less."""
+        return self._pipeline.snapshot_map(b)
 
     def load_map(self, data: Union[bytes, bytearray, memoryview], b: int = 0) -> None:
         """Replaces the map; the camera is searched for in it. Raises RuntimeError for damaged bytes."""

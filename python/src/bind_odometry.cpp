@@ -358,15 +358,9 @@ public:
     }
     return d;
   }
-  nb::bytes save_map(int b) const {
-    std::string bytes;
-    {
-      nb::gil_scoped_release const released;
-      std::ostringstream to;
-      translated([&] { inner_->save_map(to, b); });
-      bytes = to.str();
-    }
-    return nb::bytes(bytes.data(), bytes.size());
+  ft::map_snapshot snapshot_map(int b) const {
+    nb::gil_scoped_release const released;
+    return translated([&] { return inner_->snapshot_map(b); });
   }
   void load_map(nb::bytes const& bytes, int b) {
     std::istringstream from(std::string(bytes.c_str(), bytes.size()));
@@ -494,6 +488,18 @@ private:
   bool gpu_ = false;
   int descriptor_bytes_ = 32;
 };
+
+/// The file as bytes. Others run meanwhile.
+nb::bytes bytes_of(ft::map_snapshot const& snapshot) {
+  std::string bytes;
+  {
+    nb::gil_scoped_release const released;
+    std::ostringstream to;
+    translated([&] { snapshot.write(to); });
+    bytes = to.str();
+  }
+  return nb::bytes(bytes.data(), bytes.size());
+}
 
 char const* name_of(ft::tracking_state s) {
   switch (s) {
@@ -714,6 +720,8 @@ void bind_tracking(nb::module_& m) {
 
 void bind_odometry(nb::module_& m) {
   bind_tracking(m);
+  nb::class_<ft::map_snapshot>(m, "MapSnapshot", "A map as it was at Odometry.snapshot_map().")
+      .def("tobytes", &bytes_of, "What load_map() takes. Other threads of Python go on meanwhile.");
   nb::class_<bound_odometry>(m, "OdometryPipeline", "See ft.Odometry.")
       .def(nb::init<nb::handle, nb::handle, nb::handle, std::string const&>(),
            nb::arg("rig").none(), nb::arg("options"), nb::arg("imu").none(), nb::arg("device"))
@@ -735,7 +743,7 @@ void bind_odometry(nb::module_& m) {
       .def("placed_keyframes", &bound_odometry::placed_keyframes, nb::arg("b") = 0)
       .def("closed_loops", &bound_odometry::closed_loops, nb::arg("b") = 0)
       .def("stage_times_us", &bound_odometry::stage_times_us)
-      .def("save_map", &bound_odometry::save_map, nb::arg("b") = 0)
+      .def("snapshot_map", &bound_odometry::snapshot_map, nb::arg("b") = 0)
       .def("load_map", &bound_odometry::load_map, nb::arg("bytes"), nb::arg("b") = 0)
       .def_prop_ro("memory_bytes", &bound_odometry::memory_bytes)
       .def_prop_ro("batch", &bound_odometry::batch);

@@ -132,7 +132,7 @@ def test_cameras_that_are_not_there_are_refused(walk, b):
     tracker, orb = odometry(mask_size=(WIDTH, HEIGHT), imu=ft.Imu()), ft.OrbExtractor(WIDTH, HEIGHT, device="host", mask_size=(8, 8))
     follow(tracker, walk, 1)
     mask = np.ones((HEIGHT, WIDTH), np.uint8)
-    for call in (lambda: tracker.keypoints(b), lambda: tracker.map(b), lambda: tracker.save_map(b), lambda: tracker.reset(b),
+    for call in (lambda: tracker.keypoints(b), lambda: tracker.map(b), lambda: tracker.save_map(b), lambda: tracker.snapshot_map(b), lambda: tracker.reset(b),
                  lambda: tracker.load_map(b"", b), lambda: tracker.predict(np.eye(4), b), lambda: tracker.set_mask(mask, 0, b),
                  lambda: tracker.set_mask(mask, 2 if b == 1 else b), lambda: tracker.add_imu(10**9, (0, 0, 0), (0, 0, 0), b),
                  lambda: orb.set_mask(np.ones((8, 8), np.uint8), b)):

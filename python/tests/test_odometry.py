@@ -103,6 +103,23 @@ def test_a_map_goes_out_and_in(walk):
         second.load_map(saved[:-10])
 
 
+def test_a_snapshot_is_written_while_tracking_goes_on(walk):
+    odometry, other = walk.odometry(), walk.odometry()
+    follow(odometry, walk, 6)
+    saved, snapshot = odometry.save_map(), odometry.snapshot_map()
+    written = []
+    thread = threading.Thread(target=lambda: written.extend(snapshot.tobytes() for _ in range(20)))
+    thread.start()
+    later = [odometry.track(*walk.frame(i)) for i in range(6, 12)]
+    thread.join()
+    assert all(w == saved for w in written) and len(written) == 20
+    want = follow(other, walk, 12)[6:]
+    assert all(np.array_equal(a.T_world_camera, b.T_world_camera) for a, b in zip(later, want))
+    assert odometry.save_map() != saved
+    del odometry
+    assert snapshot.tobytes() == saved
+
+
 def test_maps_that_do_not_fit_change_nothing(walk):
     """Of other rigs, sizes and settings, cut off, or with a byte that is another one."""
     made = walk.odometry()

@@ -19,7 +19,7 @@
 namespace loop_files_test {
 
 using ft::detail::loop_path;
-using saved = ft::detail::saved_loops<ft::host_exec>;
+using saved = ft::detail::saved_loops<ft::memory_space::host>;
 constexpr int rows = 8, points = 16, cameras = 2;
 
 /// Five keyframes of two maps, the second joined with the first, and two loops.
@@ -71,7 +71,7 @@ struct known {
   }
   std::string text() const {
     std::ostringstream file;
-    ft::detail::save_loops(exec, archive.view(), path, file);
+    ft::detail::loop_writer(exec, archive.view(), path)(file);
     return file.str();
   }
   saved read(std::string const& text, int most = rows) const {

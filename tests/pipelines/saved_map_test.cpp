@@ -15,6 +15,7 @@
 #include <sstream>
 #include <streambuf>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -109,6 +110,36 @@ std::string refusal(Odometry& odo, std::string const& file) {
     odo.load_map(from);
   } catch (ft::error const& e) { return e.what(); }
   return {};
+}
+
+TEST(SavedMap, ASnapshotIsWrittenWhileTrackingGoesOn) {
+  ft::map_snapshot snapshot;
+  std::string written;
+  {
+    odometry odo = made(), other = made();
+    walk(odo, 0, walked);
+    snapshot = odo.snapshot_map();
+    std::thread writes([&] {
+      for (int i = 0; i < 20; ++i) {
+        std::ostringstream to;
+        snapshot.write(to);
+        written = to.str();
+        if (written != good()) { return; }
+      }
+    });
+    auto const got = walk(odo, walked, walked + 6);
+    writes.join();
+    auto const want = walk(other, 0, walked + 6);
+    EXPECT_EQ(got.T_world_camera.t.x, want.T_world_camera.t.x);
+    EXPECT_NE(saved(odo), good());
+  }
+  EXPECT_TRUE(written == good());
+  std::ostringstream after;
+  snapshot.write(after);
+  EXPECT_TRUE(after.str() == good());
+  after.setstate(std::ios::badbit);
+  EXPECT_THROW(snapshot.write(after), ft::error);
+  EXPECT_THROW(ft::map_snapshot().write(after), ft::bad_argument);
 }
 
 // ---- the format, as its documentation says

@@ -141,9 +141,9 @@ public:
     return inner_.placed_keyframes(b);
   }
   std::vector<closed_loop> closed_loops(int b) const override { return inner_.closed_loops(b); }
-  void save_map(std::ostream& to, int b) const override {
+  map_snapshot snapshot_map(int b) const override {
     [[maybe_unused]] auto const here = place_.enter();
-    inner_.save_map(to, b);
+    return inner_.snapshot_map(b);
   }
   void load_map(std::istream& from, int b) override {
     [[maybe_unused]] auto const here = place_.enter();

@@ -287,11 +287,11 @@ public:
     for (auto const& part : p.stages.plugged) { part->list_closed(all); }
     return all;
   }
-  /// Writes the map of camera pair b, in the format of pipelines/detail/odometry_files.hpp, with
-  /// ft::loops also the keyframes that are kept, and their loops. Waits,
-  /// and allocates. @throws bad_argument for a pair that does not exist or has no map; error if the
-  /// stream fails; std::bad_alloc, cuda_error
-  void save_map(std::ostream& to, int b = 0) const {
+  /// Copies the map of camera pair b, with ft::loops also the keyframes that are kept, and their
+  /// loops. Waits for the copy, and allocates. To write it, on a thread if you like, takes some
+  /// ten times as long. @throws bad_argument for a pair that does not exist or has no map;
+  /// std::bad_alloc, cuda_error
+  map_snapshot snapshot_map(int b = 0) const {
     engine const& p = made();
     detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     detail::require(p.results[static_cast<std::size_t>(b)].state != tracking_state::initialising,
@@ -300,9 +300,16 @@ public:
     for (auto const& part : p.stages.plugged) {
       if (part->loaded_map() != nullptr) { map = *part->loaded_map(); }
     }
-    detail::save_odometry_map(p.exec, map, b, origin(), p.given.loops.present, to);
-    for (auto const& part : p.stages.plugged) { part->save(p.exec, to); }
+    std::vector<map_snapshot::writer> parts;
+    parts.push_back(detail::odometry_map_writer(p.exec, map, b, origin(), p.given.loops.present));
+    for (auto const& part : p.stages.plugged) {
+      if (auto write = part->save(p.exec)) { parts.push_back(std::move(write)); }
+    }
+    return map_snapshot(std::move(parts));
   }
+  /// Writes a snapshot_map(), in the format of pipelines/detail/odometry_files.hpp, with its
+  /// errors. @throws error if the stream fails
+  void save_map(std::ostream& to, int b = 0) const { snapshot_map(b).write(to); }
   /// Replaces the map of camera pair b by a saved one. The camera is searched for in it, near its
   /// newest keyframes, as one that was lost; predict() says where else. With ft::loops it is found
   /// anywhere: from the first frame that is not found there it has a map of its own, until two of

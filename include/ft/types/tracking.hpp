@@ -3,8 +3,12 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
+#include <ostream>
+#include <utility>
 #include <vector>
 
+#include "ft/types/errors.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"
 
@@ -196,6 +200,28 @@ struct downloaded_keyframe {
 struct odometry_map {
   std::vector<downloaded_point> points;        ///< in the order of their slots
   std::vector<downloaded_keyframe> keyframes;  ///< oldest first: the trajectory of the map
+};
+
+/// A map as it was when odometry::snapshot_map() took it, in host memory: with it the odometry goes
+/// on, may be reset, or gone. Any number of threads may write it at the same time.
+class map_snapshot {
+public:
+  /// Writes a part of the file. It sets the stream's state if it fails.
+  using writer = std::function<void(std::ostream&)>;
+
+  map_snapshot() = default;
+  explicit map_snapshot(std::vector<writer> parts) : parts_(std::move(parts)) {}
+  /// Writes what load_map() reads. @throws bad_argument for one that was never taken; error if the
+  /// stream fails; std::bad_alloc
+  void write(std::ostream& to) const {
+    if (parts_.empty()) { throw bad_argument("ft: the snapshot was never taken"); }
+    for (writer const& part : parts_) { part(to); }
+    to.flush();
+    if (!to) { throw error("ft: the map could not be written"); }
+  }
+
+private:
+  std::vector<writer> parts_;
 };
 
 /// The time of one stage.

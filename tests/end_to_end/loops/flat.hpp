@@ -70,7 +70,7 @@ std::string enlarge(Exec const& exec, ft::odometry<Exec> const& odometry, int ke
   std::string bytes = file.str();
   bytes.resize(bytes.rfind("ft loop archive"));
   std::ostringstream loops;
-  ft::detail::save_loops(host, a, path, loops);
+  ft::detail::loop_writer(host, a, path)(loops);
   exec.wait();
   return bytes + loops.str();
 }

@@ -88,7 +88,7 @@ struct trial_result {
 
 /// The loops of an odometry, as its file tells them.
 template <typename Odometry>
-ft::detail::saved_loops<ft::host_exec> loops_of(Odometry const& odometry) {
+ft::detail::saved_loops<ft::memory_space::host> loops_of(Odometry const& odometry) {
   std::stringstream file;
   odometry.save_map(file);
   std::string const bytes = file.str();

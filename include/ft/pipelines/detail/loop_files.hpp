@@ -17,6 +17,7 @@
 #include <cstdint>
 #include <cstring>
 #include <istream>
+#include <memory>
 #include <ostream>
 #include <string>
 #include <vector>
@@ -65,47 +66,57 @@ void each_point_array(loop_archive_view const& archive, int row, Visit const& vi
   });
 }
 
-/// An archive in host memory, and the path of its keyframes, whose rows are 0, 1, ...
-template <typename Exec>
+/// An archive in memory of the host, and the path of its keyframes, whose rows are 0, 1, ...
+template <memory_space Space>
 struct saved_loops {
-  owner<loop_archive_view, staging_space<Exec>> archive;
+  owner<loop_archive_view, Space> archive;
   std::vector<path_keyframe> keyframes;
   std::vector<path_loop> loops;
   vec3<double> gravity{0, 0, 0};
 
-  /// Of the sizes of another one.
-  explicit saved_loops(loop_archive_view const& like)
-      : archive([&](carver& c, loop_archive_view& v) { carve(c, v, like.rows, like.points); }) {}
+  saved_loops(int rows, int points)
+      : archive([&](carver& c, loop_archive_view& v) { carve(c, v, rows, points); }) {}
 };
 
-/// Waits, and allocates. @throws error if the stream fails
-template <typename Exec>
-void save_loops(Exec const& exec, loop_archive_view const& archive, loop_path const& path,
-                std::ostream& to) {
-  saved_loops<Exec> host(archive);
-  copy_columns(exec, host.archive.view(), archive);
-  exec.wait();
+/// Writes what is saved, of which each keyframe says its row.
+template <memory_space Space>
+void write_loops(saved_loops<Space> const& saved, std::ostream& to) {
   std::string bytes;
   auto const put = [&bytes](auto const&... values) {
     (bytes.append(reinterpret_cast<char const*>(&values), sizeof values), ...);
   };
-  put(path.size(), static_cast<int>(path.loops.size()), path.gravity);
-  for (path_keyframe k : path.keyframes) {
+  put(static_cast<int>(saved.keyframes.size()), static_cast<int>(saved.loops.size()),
+      saved.gravity);
+  for (path_keyframe k : saved.keyframes) {
     each_number(k, put);
-    put(host.archive->count[k.row]);
-    each_point_array(host.archive.view(), k.row, [&](auto* array, std::size_t n) {
+    put(saved.archive->count[k.row]);
+    each_point_array(saved.archive.view(), k.row, [&](auto* array, std::size_t n) {
       bytes.append(reinterpret_cast<char const*>(array), n * sizeof *array);
     });
   }
-  for (path_loop l : path.loops) { each_number(l, put); }
+  for (path_loop l : saved.loops) { each_number(l, put); }
   loop_file_head head;
   head.bytes = bytes.size();
   std::uint64_t const hash = fnv1a(bytes.data(), bytes.size(), fnv1a_start);
   to.write(reinterpret_cast<char const*>(&head), sizeof head);
   to.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
   to.write(reinterpret_cast<char const*>(&hash), sizeof hash);
-  to.flush();
-  if (!to) { throw error("ft: the loops could not be written"); }
+}
+
+/// A copy of the rows that are in use, to be written at any time. Waits, and allocates.
+template <typename Exec>
+map_snapshot::writer loop_writer(Exec const& exec, loop_archive_view const& archive,
+                                 loop_path const& path) {
+  int rows = 4;
+  for (path_keyframe const& k : path.keyframes) { rows = std::max(rows, k.row + 1); }
+  auto const saved = std::make_shared<saved_loops<memory_space::host>>(std::min(rows, archive.rows),
+                                                                       archive.points);
+  saved->keyframes = path.keyframes;
+  saved->loops = path.loops;
+  saved->gravity = path.gravity;
+  copy_columns(exec, saved->archive.view(), archive);
+  exec.wait();
+  return [saved](std::ostream& to) { write_loops(*saved, to); };
 }
 
 /// The numbers of a file, one after the other.
@@ -204,11 +215,11 @@ struct loop_file_limits {
 /// @throws error for a file that is truncated, damaged, larger than there is room for, or has
 ///   numbers out of range
 template <typename Exec>
-saved_loops<Exec> read_loops(loop_archive_view const& like, loop_file_limits const& most,
-                             std::istream& from) {
+saved_loops<staging_space<Exec>> read_loops(loop_archive_view const& like,
+                                            loop_file_limits const& most, std::istream& from) {
   loop_file_reader in(from);
   auto const get = [&in](auto&... values) { (in.take(&values, 1), ...); };
-  saved_loops<Exec> to(like);
+  saved_loops<staging_space<Exec>> to(like.rows, like.points);
   loop_archive_view const& a = to.archive.view();
   int keyframes = 0, loops = 0, steps = 0;
   get(keyframes, loops, to.gravity);

@@ -17,6 +17,7 @@
 #include <cstdint>
 #include <cstring>
 #include <istream>
+#include <memory>
 #include <ostream>
 #include <string>
 #include <vector>
@@ -71,8 +72,8 @@ struct map_file_head {
 static_assert(sizeof(map_file_head) == 40, "without padding");
 inline constexpr std::size_t version_end = 24;  ///< bytes up to what each version has
 
-/// Batch entry b of a map, in host memory.
-template <typename Exec>
+/// Batch entry b of a map, in memory of the host.
+template <memory_space Space>
 class host_map {
 public:
   explicit host_map(odometry_map_view const& of)
@@ -83,14 +84,17 @@ public:
                 1);
         }) {}
   odometry_map_view const& view() const { return view_; }
+  template <typename Exec>
   void download(Exec const& exec, odometry_map_view const& map, int b) const {
     copy_all(exec, map, b, view_, 0);
   }
+  template <typename Exec>
   void upload(Exec const& exec, odometry_map_view const& map, int b) const {
     copy_all(exec, view_, 0, map, b);
   }
 
 private:
+  template <typename Exec>
   static void copy_all(Exec const& exec, odometry_map_view const& from, int of,
                        odometry_map_view const& to, int b) {
     std::vector<void const*> arrays;
@@ -103,36 +107,35 @@ private:
   }
 
   odometry_map_view view_;  // the memory's constructor writes it
-  arena<staging_space<Exec>> memory_;
+  arena<Space> memory_;
 };
 
 /// The last line of the text of a file that has loops.
 inline constexpr char loops_line[] = "loops: kept\n";
 
-/// @param loops whether they follow @throws error if the stream cannot be written; std::bad_alloc,
-/// cuda_error
+/// A copy of batch entry b of a map, to be written at any time, without the odometry. Waits, and
+/// allocates. @param loops whether they follow @throws std::bad_alloc, cuda_error
 template <typename Exec>
-void save_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
-                       map_origin const& origin, bool loops, std::ostream& to) {
-  std::string const text = origin.text() + (loops ? loops_line : "");
-  host_map<Exec> const host(map);
-  host.download(exec, map, b);
-  clear_unused(host.view());
-  std::uint64_t hash = fnv1a_start;
-  auto const put = [&](void const* data, std::size_t bytes) {
-    hash = fnv1a(data, bytes, hash);
-    to.write(static_cast<char const*>(data), static_cast<std::streamsize>(bytes));
+map_snapshot::writer odometry_map_writer(Exec const& exec, odometry_map_view const& map, int b,
+                                         map_origin const& origin, bool loops) {
+  auto const host = std::make_shared<host_map<memory_space::host>>(map);
+  host->download(exec, map, b);
+  clear_unused(host->view());
+  return [host, text = origin.text() + (loops ? loops_line : "")](std::ostream& to) {
+    std::uint64_t hash = fnv1a_start;
+    auto const put = [&](void const* data, std::size_t bytes) {
+      hash = fnv1a(data, bytes, hash);
+      to.write(static_cast<char const*>(data), static_cast<std::streamsize>(bytes));
+    };
+    map_file_head head;
+    head.text_bytes = text.size();
+    head.array_bytes = array_bytes_of(host->view());
+    put(&head, sizeof head);
+    put(text.data(), text.size());
+    each_array(host->view(), 0, [&](auto* data, std::size_t n) { put(data, n * sizeof *data); });
+    std::uint64_t const sum = hash;
+    put(&sum, sizeof sum);
   };
-  map_file_head head;
-  head.text_bytes = text.size();
-  head.array_bytes = array_bytes_of(map);
-  put(&head, sizeof head);
-  put(text.data(), text.size());
-  each_array(host.view(), 0, [&](auto* data, std::size_t n) { put(data, n * sizeof *data); });
-  std::uint64_t const sum = hash;
-  put(&sum, sizeof sum);
-  to.flush();
-  if (!to) { throw error("ft: the map could not be written"); }
 }
 
 /// Reads the parts of a map file, and no more of the stream.
@@ -212,7 +215,7 @@ void load_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
                        ReadLoops const& read_loops) {
   map_file_reader in(from);
   bool const follow = in.read_head(origin, array_bytes_of(map), loops);
-  host_map<Exec> const host(map);
+  host_map<staging_space<Exec>> const host(map);
   each_array(host.view(), 0, [&](auto* data, std::size_t n) {
     in.read(static_cast<void*>(data), n * sizeof *data);
   });

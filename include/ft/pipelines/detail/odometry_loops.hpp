@@ -94,15 +94,15 @@ public:
   odometry_map_view const* loaded_map() const override {
     return localizer_ != nullptr && loaded_ ? &localizer_->loaded() : nullptr;
   }
-  void save(Exec const& exec, std::ostream& to) const override {
+  map_snapshot::writer save(Exec const& exec) const override {
     require(!awaits_scale_ || of_path(map_),
             "the map is not saved: its scale is not known yet, and the places before it have one");
-    save_loops(exec, archive_.view(), path_, to);
+    return loop_writer(exec, archive_.view(), path_);
   }
   void read(std::istream* from) override {
     saved_.reset();
     if (from == nullptr) { return; }
-    auto saved = std::make_unique<saved_loops<Exec>>(
+    auto saved = std::make_unique<saved_loops<staging_space<Exec>>>(
         read_loops<Exec>(archive_.view(),
                          {params_.keyframes + margin() / 2, path_.most_loops(),
                           keyframe_task<searched_rig>::depth_cameras, path_.scaled},
@@ -311,7 +311,7 @@ private:
     corrected_ = true;
   }
   /// The path and the archive of a file take the place of none.
-  void enter(Exec const& exec, saved_loops<Exec> const& from) {
+  void enter(Exec const& exec, saved_loops<staging_space<Exec>> const& from) {
     copy_columns(exec, archive_.view(), from.archive.view());
     exec.wait();
     for (path_keyframe const& k : from.keyframes) {
@@ -362,8 +362,9 @@ private:
   bool loaded_ = false;                ///< the path began with that of a file
   std::exception_ptr failure_;         ///< of a search
   std::unique_ptr<loop_localizer<Exec, Rig>> localizer_;  ///< of a map that is not changed
-  std::unique_ptr<saved_loops<Exec>> saved_;  ///< that were read, and enter with forget()
-  bool corrected_ = false;                    ///< T_world_odom_ is not the identity
+  std::unique_ptr<saved_loops<staging_space<Exec>>>
+      saved_;               ///< that were read, and enter with forget()
+  bool corrected_ = false;  ///< T_world_odom_ is not the identity
   std::unique_ptr<work_beside<host_exec, search_type>> beside_;  ///< last: it uses the archive
 };
 

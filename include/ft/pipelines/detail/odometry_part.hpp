@@ -79,9 +79,10 @@ public:
   /// The map as it was loaded, in executor memory, if the odometry's own is a part of it now; else
   /// null.
   virtual odometry_map_view const* loaded_map() const { return nullptr; }
-  /// Writes what belongs to a map, behind it. Waits, and allocates.
-  virtual void save(Exec const&, std::ostream&) const {}
-  /// Reads and checks what save() has written, or null, for the forget() that follows. Allocates.
+  /// Copies what belongs to a map and is written behind it; empty if nothing does. Waits, and
+  /// allocates.
+  virtual map_snapshot::writer save(Exec const&) const { return {}; }
+  /// Reads and checks what that has written, or null, for the forget() that follows. Allocates.
   virtual void read(std::istream*) {}
   /// Camera pair b begins anew.
   virtual void reset(int /*b*/) {}

@@ -16,7 +16,7 @@ inline namespace FT_ABI {
 
 struct map_params {
   int steps = 100;       ///< most steps to try, 0 to 10000
-  double enough = 1e-6;  ///< ends with a step that lowers the cost by a smaller share, 0 to 1
+  double enough = 3e-7;  ///< ends with a step that lowers the cost by a smaller share, 0 to 1
   double first_damping = 1e-4;  ///< of the first step, relative to the diagonal, 0 to 1e9
   /// Standard deviations from which an observation's cost grows linearly (Huber's kernel), up to
   /// 1e50; 0: none.

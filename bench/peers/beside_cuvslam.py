@@ -5,11 +5,12 @@
     bench/peers/beside_cuvslam.py --client ./cuvslam_client --data FOLDER --seeds 1 2 3 4 5 --commit COMMIT --out raw.json
     bench/results.py raw.json beside_cuvslam.json --what TEXT
 
-FOLDER has the recordings of ROWS, by their names; those that are not there are left out, and said so. cuVSLAM runs three
+Without --client ft alone, also on the host (--backend host). FOLDER has the recordings of ROWS, by their names; those that are not there are left out, and said so. cuVSLAM runs three
 times by its default, which adjusts beside the frames and differs from run to run, and once adjusting within the frames."""
 import argparse
 import datetime
 import json
+import os
 import pathlib
 import platform
 import shutil
@@ -18,9 +19,11 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-# recording, rig, every n-th frame
+BACK = "and back"
+# recording, rig, every n-th frame; or all frames, then backward (KITTI's layout)
 ROWS = [
-    ("kitti_motion_start", "stereo", 1), ("kitti_motion_start", "stereo", 3), ("kitti_0926_stereo", "stereo", 1),
+    ("kitti_motion_start", "stereo", 1), ("kitti_motion_start", "stereo", 3), ("kitti_motion_start", "stereo", BACK),
+    ("kitti_0926_stereo", "stereo", 1),
     ("euroc_v101_stereo_start", "stereo", 1), ("euroc_mh05_mono", "mono", 1), ("euroc_v101_mono_flight", "mono", 1),
     ("rgbd_7scenes_kitchen", "rgbd", 1), ("rgbd_7scenes_kitchen", "rgbd", 6), ("rgbd_7scenes_kitchen", "rgbd", 10),
     ("rgbd_hololens_office", "rgbd", 1), ("rgbd_hololens_office", "rgbd", 2),
@@ -60,6 +63,23 @@ def thinned(source, folder, every):
     return folder
 
 
+def there_and_back(source, folder):
+    """All frames of a recording in KITTI's layout, then the same backward; the times go on."""
+    folder.mkdir()
+    shutil.copy(source / "calib.txt", folder)
+    times = [float(t) for t in (source / "times.txt").read_text().split()]
+    poses = (source / "poses.txt").read_text().splitlines()
+    order = [*range(len(times)), *range(len(times) - 2, -1, -1)]
+    (folder / "times.txt").write_text("".join(f"{times[0] + k * (times[1] - times[0]):.6f}\n" for k in range(len(order))))
+    (folder / "poses.txt").write_text("".join(poses[i] + "\n" for i in order))
+    for images in ("image_0", "image_1"):
+        (folder / images).mkdir()
+        files = sorted((source / images).iterdir())
+        for k, i in enumerate(order):
+            (folder / images / f"{k:06d}{files[i].suffix}").symlink_to(files[i].resolve())
+    return folder
+
+
 def run(command):
     done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
     if done.returncode != 0:
@@ -71,8 +91,8 @@ def track_ft(options, folder, rig, imu, work):
     """Frames one after the other: none is prefetched."""
     out = work / "ft"
     shutil.rmtree(out, ignore_errors=True)
-    command = [options.bin / "track_sequence", folder, "--rig", rig, "--backend", "cuda", "--read-ahead", "0", "--quiet", "--out", out]
-    run([*command, "--imu", "auto" if imu else "off"])
+    command = [options.bin / "track_sequence", folder, "--rig", rig, "--backend", options.backend, "--read-ahead", "0", "--quiet"]
+    run([*command, "--out", out, "--imu", "auto" if imu else "off", *(["--features", options.features] if options.features else [])])
     try:
         found = json.loads((out / "summary.json").read_text())
     except OSError:
@@ -81,6 +101,7 @@ def track_ft(options, folder, rig, imu, work):
     row["ft.p50_ms"], row["ft.p99_ms"] = (found["images_to_pose"][f"{p}_ms"] for p in ("p50", "p99"))
     if found["ate_rmse_m"] is not None:
         row["ft.ate_m"] = found["ate_rmse_m"]
+        row["ft.scale_to_truth"] = found["scale_to_truth"]
     warned = [f"{name} {count}" for name, count in sorted(found["frame_warnings"].items())]
     return {**row, **({"ft.warnings": warned} if warned else {})}
 
@@ -105,10 +126,11 @@ def track_cuvslam(options, folder, rig, imu, work):
 
 
 def compare(options, name, source, rig, every, imu, work):
-    folder = thinned(source, work / "thinned", every)
+    folder = there_and_back(source, work / "thinned") if every == BACK else thinned(source, work / "thinned", every)
     row = {"recording": name, "every": every, "rig": rig, "imu": imu}
     row.update(track_ft(options, folder, rig, imu, work))
-    row.update(track_cuvslam(options, folder, rig, imu, work))
+    if options.client:
+        row.update(track_cuvslam(options, folder, rig, imu, work))
     shutil.rmtree(work / "thinned", ignore_errors=True)
     print(json.dumps(row), flush=True)
     return row
@@ -133,22 +155,25 @@ def all_rows(options, work):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--client", type=pathlib.Path, required=True, help="cuvslam_client")
+    parser.add_argument("--client", type=pathlib.Path, help="cuvslam_client (none: ft alone)")
+    parser.add_argument("--backend", default="cuda", help="ft's (cuda)")
+    parser.add_argument("--features", type=int, help="ft's (its default)")
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "bin", help="folder of ft's programs (build/bin)")
     parser.add_argument("--data", type=pathlib.Path, help="folder of recordings (none)")
     parser.add_argument("--seeds", type=int, nargs="*", default=[], help="of generated sequences of 300 frames")
     parser.add_argument("--commit", required=True, help="of ft")
     parser.add_argument("--out", type=pathlib.Path, required=True)
     options = parser.parse_args()
-    options.client = options.client.resolve()
+    options.client = options.client.resolve() if options.client else None
     with tempfile.TemporaryDirectory() as folder:
         rows = list(all_rows(options, pathlib.Path(folder)))
     if not rows:
         parser.error("nothing to track: neither recordings nor seeds")
     words = ["bench/peers/beside_cuvslam.py", *(pathlib.Path(w).name if "/" in w else w for w in sys.argv[1:])]
-    gpu = subprocess.run(["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"], capture_output=True, text=True, check=False)
-    name, _, driver = gpu.stdout.strip().partition(", ")
-    machine = {"gpu": name or "unknown", "driver": driver or "unknown", "processor": platform.processor() or platform.machine()}
+    machine = {"processor": f"{os.cpu_count()} cores, {platform.processor() or platform.machine()}"}
+    if options.client or options.backend == "cuda":
+        gpu = subprocess.run(["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"], capture_output=True, text=True, check=False)
+        machine["gpu"], _, machine["driver"] = gpu.stdout.strip().partition(", ")
     options.out.write_text(json.dumps({"date": datetime.date.today().isoformat(), "commit": options.commit, "command": words, "machine": machine, "rows": rows}, indent=1) + "\n")
 
 

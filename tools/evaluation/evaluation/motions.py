@@ -223,9 +223,14 @@ class Motion:
         return self.error_m > max(LEAST_M, SHARE_OF_PATH * self.path_m, DEVIATIONS * deviation)
 
     @property
+    def squared_error(self):
+        """In deviations of its covariance, squared; nothing without one."""
+        return squared_mahalanobis(self.covariance, self.twist) if self.covariance else None
+
+    @property
     def is_contained(self):
         """Whether the 95 % ellipsoid of its covariance has the error; nothing without one."""
-        squared = squared_mahalanobis(self.covariance, self.twist) if self.covariance else None
+        squared = self.squared_error
         return None if squared is None else squared <= CHI_SQUARE_95
 
 
@@ -276,6 +281,13 @@ def warned_right(frames, *motions):
     return sum(bool(frames[end].warnings) for end in known - wrong)
 
 
+def deviation_told(motions, least=20):
+    """How many times as large deviations are told as they are; nothing of fewer motions than these."""
+    squared = [m.squared_error for m in motions]
+    squared = [s for s in squared if s is not None]
+    return math.sqrt(6 * len(squared) / sum(squared)) if len(squared) >= least and sum(squared) > 0 else None
+
+
 def clock_offset(frames, newest=20):
     """That of the IMU as found, seconds: median over the newest frames that have one."""
     found = sorted(f.clock_s for f in frames[-newest:] if f.clock_s is not None)
@@ -308,5 +320,6 @@ def figures(frames):
         "warned_right": warned_right(frames, steps, seconds),
         "warnings": {n: sum(n in f.warnings for f in frames) for n in names},
         "contained": sum(contained) / len(contained) if contained else None,
+        "deviation_at_rest": deviation_told(m for _, m in steps if m.path_m < MOVING_M),
         "imu_used": sum(f.imu_used for f in known) / len(known) if known else None,
     }

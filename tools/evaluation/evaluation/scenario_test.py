@@ -136,6 +136,19 @@ class Figures(unittest.TestCase):
         inside = sum(motions.squared_mahalanobis(expected, e) <= motions.CHI_SQUARE_95 for e in errors) / len(errors)
         self.assertAlmostEqual(inside, 0.95, delta=0.015)
 
+    def test_deviations_at_rest_are_told_as_large_as_they_are(self):
+        rng = random.Random(4)
+        jitter = [[rng.gauss(0, 0.01) for _ in range(3)] for _ in range(2000)]  # no turns: half of the six squares are nothing
+
+        def told(deviation, truth):
+            return motions.figures(frames_of(jitter, truth, deviation=deviation))["deviation_at_rest"]
+
+        still = [(0.0, 0.0, 0.0)] * len(jitter)
+        self.assertAlmostEqual(told(0.01, still), math.sqrt(2), delta=0.05)
+        self.assertAlmostEqual(told(0.03, still), 3 * math.sqrt(2), delta=0.15)
+        self.assertIsNone(told(0.01, line(len(jitter))))
+        self.assertIsNone(told(None, still))
+
     def test_a_singular_covariance_contains_nothing_that_can_be_said(self):
         self.assertIsNone(motions.squared_mahalanobis([[0.0] * 6 for _ in range(6)], [1.0] * 6))
 
@@ -185,7 +198,7 @@ class Table(unittest.TestCase):
         self.assertEqual(len(names), len(set(names)))
         known = {
             "ate_m", "max_error_m", "rpe_frame_m", "rpe_second_m", "lost", "maps", "silent", "warned", "keyframe_share", "ate_share",
-            "contained", "gain", "gap_share", "imu_used", "jumps_right", "ate_over_allowed", "max_over_allowed",
+            "contained", "deviation_at_rest", "gain", "gap_share", "imu_used", "jumps_right", "ate_over_allowed", "max_over_allowed",
         }
         for s in scenarios.ALL:
             self.assertLessEqual({n for n, _ in (*s.limits, *s.least)}, known)

@@ -87,6 +87,10 @@ IMAGES = (
         "left_repeated", "the left image is the same for half a second",
         faults=(faults.repeated_images(4, 4.5, (0,)),), limits=TRUTHFUL, least=TOLD,
     ),
+    Scenario(
+        "at_rest", "does not move", (*CORRIDOR, "--speed", "0"), limits=(*WHOLE, *UNTOLD, ("deviation_at_rest", 2.0)),
+        least=(("deviation_at_rest", 0.5),), frames=100,
+    ),
     Scenario("corridor_8", "forward at 8 m/s", (*CORRIDOR, "--speed", "8"), limits=(*WHOLE, ("ate_share", 0.01)), frames=160),
 )
 

@@ -57,6 +57,8 @@ struct frame_record {
   std::string imu_why;     ///< the same as a sentence; empty if it is used
   /// By which the IMU's clock is ahead of that of the images, as found, seconds.
   std::optional<double> imu_clock_offset_s;
+  /// How the IMU is turned from where its calibration says, as found: rotation vector, rad.
+  std::optional<Eigen::Vector3d> imu_turn;
 };
 
 /// A frame drawn in the report.

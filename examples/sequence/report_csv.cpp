@@ -44,8 +44,13 @@ std::string imu_columns(frame_record const& r) {
 }
 
 std::string imu_state_columns(frame_record const& r) {
-  std::string const text = ',' + csv_field(r.imu_state) + ',' + csv_field(r.imu_reason) + ',';
-  return r.imu_clock_offset_s ? text + detail::fixed(*r.imu_clock_offset_s, 6) : text;
+  std::string text = ',' + csv_field(r.imu_state) + ',' + csv_field(r.imu_reason) + ',';
+  if (r.imu_clock_offset_s) { text += detail::fixed(*r.imu_clock_offset_s, 6); }
+  for (int i = 0; i < 3; ++i) {
+    text += ',';
+    if (r.imu_turn) { text += detail::fixed((*r.imu_turn)[i], 6); }
+  }
+  return text;
 }
 
 constexpr std::size_t covariance_columns = 21;  // the upper triangle of 6 x 6
@@ -83,7 +88,9 @@ void write_times_csv(std::string const& path, run_report const& report) {
   bool const covariances = std::any_of(report.records.begin(), report.records.end(),
                                        [](frame_record const& r) { return !r.covariance.empty(); });
   if (covariances) { text += covariance_heads(); }
-  if (report.with_imu) { text += ",imu_state,imu_reason,imu_clock_offset_s"; }
+  if (report.with_imu) {
+    text += ",imu_state,imu_reason,imu_clock_offset_s,imu_turn_x,imu_turn_y,imu_turn_z";
+  }
   text += ",images_to_pose_ms,reason,map_id,map_begun,warnings\n";
   for (frame_record const& r : report.records) {
     text += std::to_string(r.index) + ',' + seconds(r.time_ns);

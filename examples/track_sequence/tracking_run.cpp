@@ -272,6 +272,8 @@ void tracking_run::add_record(int i, std::int64_t time_ns, frame_outcome const& 
     if (outcome.imu->state != ft::imu_state::used) { record.imu_reason = outcome.imu->reason; }
     record.imu_why = outcome.imu->text;
     if (found.imu.clock.known) { record.imu_clock_offset_s = found.imu.clock.offset_s; }
+    ft::imu_misalignment const& off = found.imu.misalignment;
+    if (off.known) { record.imu_turn = Eigen::Vector3d(off.turn.x, off.turn.y, off.turn.z); }
   }
   if (outcome.tracked) {
     for (int row = 0; row < 6; ++row) {  // the upper triangle

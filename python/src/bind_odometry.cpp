@@ -674,6 +674,18 @@ void bind_tracking(nb::module_& m) {
           "(offset, standard deviation) of the IMU's clock as found by how camera and IMU turn, "
           "seconds; None while that tells it not within a millisecond")
       .def_prop_ro(
+          "imu_misalignment",
+          [](tracking const& t) -> nb::object {
+            ft::imu_misalignment const& off = t.of.imu.misalignment;
+            if (!off.known) { return nb::none(); }
+            return nb::make_tuple(to_numpy(std::vector<double>{off.turn.x, off.turn.y, off.turn.z}),
+                                  off.sigma);
+          },
+          "(rotation vector, standard deviation) by which the IMU is turned from where T_bc says, "
+          "as "
+          "found by how camera and IMU turn, rad; None while that does not tell it within 0.1 "
+          "degree")
+      .def_prop_ro(
           "imu_left_out",
           [](tracking const& t) {
             auto const& n = t.of.imu.left_out;

@@ -54,6 +54,8 @@ seq::frame_record record_of(nb::handle given) {
     if (said.imu->state != ft::imu_state::used) { r.imu_reason = said.imu->reason; }
     r.imu_why = said.imu->text;
     if (t.imu.clock.known) { r.imu_clock_offset_s = t.imu.clock.offset_s; }
+    ft::imu_misalignment const& off = t.imu.misalignment;
+    if (off.known) { r.imu_turn = Eigen::Vector3d(off.turn.x, off.turn.y, off.turn.z); }
   }
   for (int row = 0; r.tracked && row < 6; ++row) {  // the upper triangle
     double const* const begin = t.covariance + 6 * row;

@@ -117,6 +117,7 @@ seq::run_report with_states(int frames) {
 TEST_F(report_inertial, all_outputs_have_the_state_and_its_reason) {
   seq::run_report r = with_states(40);
   r.records[30].imu_clock_offset_s = -0.0125;
+  r.records[31].imu_turn = Eigen::Vector3d(0.01, -0.02, 0.5);
   std::ostringstream out;
   seq::print_summary(out, r);
   std::string const page = written(seq::write_html, r);
@@ -133,11 +134,13 @@ TEST_F(report_inertial, all_outputs_have_the_state_and_its_reason) {
       (nlohmann::json{
           {"initialising", {{"few_keyframes", 5}}}, {"used", 30}, {"known", {{"no_samples", 5}}}}));
   std::string const table = written(seq::write_times_csv, r);
-  EXPECT_NE(table.find(",imu_state,imu_reason,imu_clock_offset_s,images_to_pose_ms"),
+  EXPECT_NE(table.find(",imu_state,imu_reason,imu_clock_offset_s,imu_turn_x,imu_turn_y,imu_turn_z,"
+                       "images_to_pose_ms"),
             std::string::npos);
   EXPECT_NE(table.find(",initialising,few_keyframes,"), std::string::npos);
-  EXPECT_NE(table.find(",used,,-0.012500,"), std::string::npos);
-  EXPECT_NE(table.find(",used,,,"), std::string::npos);
+  EXPECT_NE(table.find(",used,,-0.012500,,,,"), std::string::npos);
+  EXPECT_NE(table.find(",used,,,,,,"), std::string::npos);
+  EXPECT_NE(table.find(",used,,,0.010000,-0.020000,0.500000,"), std::string::npos);
 }
 
 TEST_F(report_inertial, an_imu_that_was_never_known_has_a_reason) {

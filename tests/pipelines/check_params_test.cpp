@@ -153,8 +153,8 @@ SETTINGS_OF(ft::initialization_params, gravity, known_scale, least_keyframes, po
             rotation_sigma, accel_bias_sigma, rest_distance, rest_angle, max_gyro_sigma,
             max_tilt_sigma, max_velocity_sigma, max_scale_sigma, max_position_rms, max_rotation_rms)
 SETTINGS_OF(ft::imu_params, present, T_bc, noise, samples, waiting, max_accel, max_gyro,
-            time_offset_s, estimate_time_offset, selection, initialization, scale_position_sigma,
-            scale_sigma, scale_keyframes, accel_sigma, keyframe_period_s)
+            time_offset_s, estimate_time_offset, estimate_rotation, selection, initialization,
+            scale_position_sigma, scale_sigma, scale_keyframes, accel_sigma, keyframe_period_s)
 SETTINGS_OF(ft::loop_params, present, keyframes, points, recent, groups, votes, min_votes,
             min_inliers, min_share, max_drift, max_turn, max_scale_drift)
 SETTINGS_OF(ft::odometry_params, orb, rules, map_slots, keyframes, local_points, local_map,

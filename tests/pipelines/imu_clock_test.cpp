@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The offset of an IMU's clock, from how a camera and the IMU turn: it is found within a
 // millisecond where the rate of turning changes, and not claimed to be known where it does not.
+// Likewise the rotation between both, within a tenth of a degree, where they turn about two axes.
 #include "ft/pipelines/detail/imu_clock.hpp"
 
 #include <gtest/gtest.h>
@@ -35,11 +36,12 @@ struct setting {
   double attitude_noise = 3e-4;
   double attitude_drift = 0;  ///< of a frame: a map's error goes on to the next one
   int frames = 240;
-  double spike_s = -1;  ///< a sample of 34 rad/s
-  int new_map = -1;     ///< frame from which the world is another one
+  double spike_s = -1;                   ///< a sample of 34 rad/s
+  int new_map = -1;                      ///< frame from which the world is another one
+  ft::vec3<double> mounted = {0, 0, 0};  ///< rotation vector from the IMU to where it should be
 };
 
-ft::imu_clock_offset found(setting const& s, unsigned seed = 1) {
+imu_clock run(setting const& s, unsigned seed) {
   constexpr std::int64_t fine_ns = 500'000;
   std::mt19937 random(seed);
   std::normal_distribution<double> noise;
@@ -60,6 +62,9 @@ ft::imu_clock_offset found(setting const& s, unsigned seed = 1) {
       for (; sample_ns <= t + lead_ns - offset_ns; sample_ns += 5'000'000) {  // images' clock
         auto w = s.turn(static_cast<double>(sample_ns) * 1e-9);
         if (std::abs(static_cast<double>(sample_ns) * 1e-9 - s.spike_s) < 1e-6) { w.y = 34; }
+        auto const in_imu =
+            ft::detail::rotation_exp(s.mounted.cast<real64>()).transposed() * w.cast<real64>();
+        w = in_imu.cast<double>();
         auto const n = noisy(2.4e-3);
         clock.add(sample_ns + offset_ns, {static_cast<float>(w.x + 0.02 + n.x.value),
                                           static_cast<float>(w.y - 0.01 + n.y.value),
@@ -74,8 +79,13 @@ ft::imu_clock_offset found(setting const& s, unsigned seed = 1) {
     }
     R = R * ft::detail::rotation_exp(step);
   }
-  return clock.estimate();
+  return clock;
 }
+ft::imu_clock_offset found(setting const& s, unsigned seed = 1) { return run(s, seed).estimate(); }
+ft::imu_misalignment misalignment(setting const& s, unsigned seed = 1) {
+  return run(s, seed).misalignment();
+}
+double apart(ft::vec3<double> a, ft::vec3<double> b) { return std::sqrt(dot(a - b, a - b)); }
 
 TEST(ImuClock, IsFoundWithinAMillisecond) {
   for (double const offset : {-0.1, -0.05, -0.02, -0.005, 0.0, 0.002, 0.01, 0.03, 0.05, 0.1}) {
@@ -168,6 +178,86 @@ TEST(ImuClock, InUseIsAsUncertainAsItIsKnownToBeWrong) {
   EXPECT_EQ(sigma_of_clock({false, 0.05, 0.002}, 0.05), 0.002);
   EXPECT_EQ(sigma_of_clock({true, 0.05, 0.001}, 0), 0.05) << "found, and not applied";
   EXPECT_EQ(sigma_of_clock({true, -0.004, 0.001}, 0), 0.004);
+}
+
+constexpr double degree = 3.14159265358979 / 180;
+
+TEST(ImuMisalignment, IsFoundWithinATenthOfADegree) {
+  for (ft::vec3<double> const mounted :
+       {ft::vec3<double>{0, 0, 0}, {0.01, 0, 0}, {0, -0.05, 0.02}, {0.1, 0.1, -0.1}, {0, 0, 0.4}}) {
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      setting s;
+      s.mounted = mounted;
+      auto const m = misalignment(s, seed);
+      EXPECT_TRUE(m.known) << seed;
+      EXPECT_LT(apart(m.turn, mounted), 0.1 * degree) << seed;
+      EXPECT_LT(apart(m.turn, mounted), 4 * m.sigma) << seed;
+    }
+  }
+}
+
+TEST(ImuMisalignment, IsNotKnownWithoutTurnsAboutTwoAxes) {
+  for (motion const turn : {steady, rest, shaking}) {
+    for (unsigned seed = 1; seed <= 3; ++seed) {
+      setting s;
+      s.turn = turn;
+      s.mounted = {0, 0, 0.05};
+      EXPECT_FALSE(misalignment(s, seed).known) << seed;
+    }
+  }
+  setting s;
+  s.frames = 20;
+  EXPECT_FALSE(misalignment(s).known) << "too few turns";
+  EXPECT_EQ(imu_clock().misalignment().sigma, 0);
+}
+
+TEST(ImuMisalignment, SaysHowCertainItIs) {
+  for (int const frames : {60, 120, 240}) {
+    double squares = 0;
+    constexpr int runs = 40;
+    for (unsigned seed = 1; seed <= runs; ++seed) {
+      setting s;
+      s.mounted = {0.02, -0.01, 0.03};
+      s.attitude_noise = 1e-4;
+      s.attitude_drift = 1e-3;
+      s.frames = frames;
+      auto const m = misalignment(s, seed);
+      ASSERT_GT(m.sigma, 0) << seed;
+      double const off = apart(m.turn, s.mounted) / m.sigma;
+      EXPECT_LT(off, 4) << seed << " of " << frames << " frames";
+      squares += off * off;
+    }
+    EXPECT_LT(std::sqrt(squares / runs), 1.5) << frames;
+    EXPECT_GT(std::sqrt(squares / runs), 0.4) << frames;
+  }
+}
+
+// The clock's offset that is in use counts; with another one the estimate begins anew.
+TEST(ImuMisalignment, IsAtTheOffsetInUse) {
+  setting s;
+  s.offset_s = 0.03;
+  s.mounted = {0, 0.05, 0};
+  auto const wrong = misalignment(s);
+  s.middle_s = 0.03;
+  auto const right = misalignment(s);
+  EXPECT_GT(wrong.sigma, 3 * right.sigma);
+  EXPECT_LT(apart(right.turn, s.mounted), 0.1 * degree);
+  auto clock = run(s, 1);
+  clock.use(30'000'000, ft::mat3<double>::identity());
+  EXPECT_TRUE(clock.misalignment().known);
+  clock.use(20'000'000, ft::mat3<double>::identity());
+  EXPECT_EQ(clock.misalignment().sigma, 0);
+}
+
+// With the samples turned the clock's estimate begins anew.
+TEST(ImuMisalignment, ATurnThatIsInUseTakesItFromTheClock) {
+  setting s;
+  auto clock = run(s, 1);
+  EXPECT_TRUE(clock.estimate().known);
+  clock.use(0, ft::mat3<double>::identity());
+  EXPECT_TRUE(clock.estimate().known);
+  clock.use(0, ft::detail::rotation_exp(strict_vec3d{0.1, 0.0, 0.0}).cast<double>());
+  EXPECT_EQ(clock.estimate().sigma_s, 0);
 }
 
 }  // namespace imu_clock_test

@@ -30,7 +30,7 @@ ft::imu_tracking described(queue& q, std::int64_t time_ns = 0) {
 /// Times of what is taken, s.
 std::vector<double> taken(queue& q, std::int64_t base_ns, std::int64_t to_ns, int room = 100) {
   std::vector<ft::imu_sample> to(static_cast<std::size_t>(room));
-  int const n = q.take(base_ns, to_ns, room, to.data());
+  int const n = q.take(base_ns, to_ns, nullptr, room, to.data());
   std::vector<double> times;
   for (int i = 0; i < n && i < room; ++i) {
     times.push_back(to[static_cast<std::size_t>(i)].time_s);

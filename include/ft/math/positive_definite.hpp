@@ -142,7 +142,8 @@ FT_HOST_DEVICE inline void solve_symmetric_6(real64 const* m, real64 (&x)[6]) {
 /// @param upper its upper triangle by rows
 /// @param out result, exactly symmetric
 /// @return false, with nothing written, if it is not positive definite
-FT_HOST_DEVICE inline bool invert_6(float const* upper, double (&out)[36]) {
+template <typename S>
+FT_HOST_DEVICE bool invert_6(S const* upper, double (&out)[36]) {
   using real = strict_double;
   real L[6][6];  // lower factor
   int at = 0;

@@ -19,8 +19,8 @@ inline namespace FT_ABI {
 
 /// A sentence for each of: samples that come more or less often than the calibration says, by a
 /// factor of 1.5; samples that were left out, and why; images that contradict the IMU; a clock that
-/// is far from that of the images. Each has what was found and what was expected. Empty where
-/// nothing is wrong.
+/// is far from that of the images; an IMU that is turned from where T_bc says. Each has what was
+/// found and what was expected. Empty where nothing is wrong.
 /// @param t of a frame @param params of the odometry
 inline std::vector<std::string> imu_warnings(imu_tracking const& t, imu_params const& params) {
   std::vector<std::string> out;
@@ -57,6 +57,13 @@ inline std::vector<std::string> imu_warnings(imu_tracking const& t, imu_params c
     out.push_back("the IMU's clock is " + text(std::abs(ms)) + " ms " +
                   (ms < 0 ? "behind" : "ahead of") + " that of the images, time_offset_s says " +
                   text(1e3 * params.time_offset_s) + " ms");
+  }
+  vec3<double> const& turn = dot(t.turn, t.turn) > 0 ? t.turn : t.misalignment.turn;
+  double const degrees = std::sqrt(dot(turn, turn)) * 57.295779513082321;
+  if (dot(t.turn, t.turn) > 0 || (t.misalignment.known && degrees > 1)) {
+    // In halves, so that the sentence does not change with every frame.
+    out.push_back("the IMU is turned by " + text(0.5 * std::round(2 * degrees)) +
+                  " degrees from where T_bc says");
   }
   if (t.samples == integration_status::contradicted) {
     out.push_back(
@@ -119,11 +126,15 @@ public:
                          params.keyframe_period_s)
              : 0.0;
     bool const told_unit = t.depths == depth_origin::motion && t.metric;
-    // Where the offset of the clocks was corrected the IMU has begun anew.
-    if (told_unit || imu.time_offset_s != offset_s_) { unused_s_ = moving_s_ = 0; }
+    // Where the offset of the clocks or a turn was corrected the IMU has begun anew.
+    vec3<double> const turned = imu.turn - turn_;
+    if (told_unit || imu.time_offset_s != offset_s_ || dot(turned, turned) > 0) {
+      unused_s_ = moving_s_ = 0;
+    }
     any_ = true;
     last_ns_ = time_ns;
     offset_s_ = imu.time_offset_s;
+    turn_ = imu.turn;
     double const most = longest_unused_s(params, t.metric);
     bool const sees = t.state == tracking_state::tracking && t.inliers > 0;
     bool const could = usable(imu.samples) || imu.samples == integration_status::contradicted;
@@ -143,6 +154,7 @@ private:
   bool any_ = false;
   std::int64_t last_ns_ = 0;
   double offset_s_ = 0;
+  vec3<double> turn_ = {0, 0, 0};
   double unused_s_ = 0;
   double moving_s_ = 0;
 };

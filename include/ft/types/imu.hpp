@@ -126,6 +126,10 @@ struct imu_params {
   /// of a monocular_rig is only told. As long as it is not known, turns at a changing rate weigh
   /// less; with false, time_offset_s is exact.
   bool estimate_time_offset = true;
+  /// The rotation of T_bc is estimated, where the camera turns about two axes. What it is off by
+  /// clearly, by 4 standard deviations and 0.3 degrees, turns the samples: the IMU begins anew.
+  /// That of a monocular_rig is only told.
+  bool estimate_rotation = true;
   static constexpr double max_time_offset_s = 10;
   selection_params selection;  ///< a rate_hz of 0 becomes the noise's
   /// `known_scale` is the rig's: an odometry of one camera sets it.
@@ -160,6 +164,15 @@ struct imu_clock_offset {
   double sigma_s = 0;   ///< its standard deviation; 0 = there is no estimate
 };
 
+/// How the IMU is turned from where imu_params::T_bc says, by how images and gyroscope turn.
+struct imu_misalignment {
+  bool known = false;  ///< within 0.1 degree. Until the camera has turned about two axes it is not
+                       ///< observable
+  vec3<double> turn = {0, 0, 0};  ///< rotation vector, rad: turns what the IMU measures into its
+                                  ///< frame as T_bc has it
+  double sigma = 0;               ///< of it, rad; 0 = there is no estimate
+};
+
 /// What the IMU says about a frame. In words: explain_imu(), whether it is used; imu_warnings().
 struct imu_tracking {
   bool known = false;  ///< gravity, velocity and biases are known; until then the rest is 0, but
@@ -182,6 +195,8 @@ struct imu_tracking {
   imu_left_out left_out;     ///< all of them so far
   double time_offset_s = 0;  ///< in use: imu_params::time_offset_s, or one that was found
   imu_clock_offset clock;    ///< found; unknown without imu_params::estimate_time_offset
+  vec3<double> turn = {0, 0, 0};  ///< in use: 0, or one that was found
+  imu_misalignment misalignment;  ///< found; unknown without imu_params::estimate_rotation
 };
 
 /// Plugs the IMU of odometry_params::imu into an odometry: the last argument of its constructor.

@@ -148,6 +148,19 @@ class Faults(unittest.TestCase):
         self.assertEqual(r.imu[7][1:], [[14, 0, 0], [0, 0, 107]])
         self.assertEqual(self.changed(faults.swapped_axes).imu[7][1:], [[0, 7, 0], [0, 0, 107]])
 
+    def test_a_turned_imu_measures_turned_vectors(self):
+        r = self.changed(faults.turned_imu(10, 3))
+        axis = faults.direction(3)
+        for k, length in ((1, 7), (2, 107)):
+            v = r.imu[7][k]
+            self.assertAlmostEqual(math.hypot(*v), length)
+        self.assertAlmostEqual(sum(a * b for a, b in zip(r.imu[7][1], axis)), 7 * axis[0])  # what lies along the axis stays
+        marked = faults.Recording(self.source)
+        faults.turned_imu(10, 3)(marked)
+        self.assertAlmostEqual(math.hypot(*marked.turned_rad), math.radians(10))
+        z = self.changed(faults.turned_imu(90, 3)).imu[7][2]
+        self.assertAlmostEqual(sum(a * b for a, b in zip(z, (0, 0, 1))) / 107, axis[2] ** 2)  # a quarter turn
+
     def test_the_imu_stops_or_starts_late(self):
         self.assertEqual([len(self.changed(faults.only_samples(**k)).imu) for k in ({"end_s": 0.5}, {"begin_s": 0.5})], [100, 300])
 

@@ -241,6 +241,23 @@ def swapped_axes(r):
             s[k] = [y, x, z]
 
 
+def turned_imu(degrees, seed):
+    """The IMU is mounted otherwise than its calibration says, by a turn about an axis that the seed tells."""
+    x, y, z = direction(seed)
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    cross = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+    axis = (x, y, z)
+    R = [[c * (i == j) + (1 - c) * axis[i] * axis[j] + s * cross[i][j] for j in range(3)] for i in range(3)]
+
+    def apply(r):
+        r.turned_rad = [math.radians(degrees) * a for a in axis]  # as late_clock() says what it did
+        for sample in r.imu:
+            for k in (1, 2):
+                sample[k] = [sum(R[i][j] * sample[k][j] for j in range(3)) for i in range(3)]
+
+    return apply
+
+
 def only_samples(begin_s=-math.inf, end_s=math.inf):
     """The IMU starts late, or stops."""
 

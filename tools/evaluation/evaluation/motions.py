@@ -179,6 +179,8 @@ class Frame:
         self.imu_known = bool(row.get("velocity_x"))
         self.imu_used = row.get("imu_optimized") == "1"
         self.silent = False
+        turn = [row.get(f"imu_turn_{axis}") for axis in "xyz"]
+        self.imu_turn = [float(v) for v in turn] if all(turn) else None
         self.clock_s = float(row["imu_clock_offset_s"]) if row.get("imu_clock_offset_s") else None
 
     @property

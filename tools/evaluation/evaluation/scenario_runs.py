@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes and tracks the sequences of scenarios, and the rows of their table."""
 import json
+import math
 import pathlib
 import subprocess
 import threading
@@ -157,6 +158,9 @@ def figures_of(recording, frames, summary):
         found = motions.clock_offset(frames)
         row["clock_ms"] = recording.clock_ms
         row["clock_found_ms"] = None if found is None else 1000 * found
+    if getattr(recording, "turned_rad", None) is not None:
+        found = next((f.imu_turn for f in reversed(frames) if f.imu_turn), None)  # turns samples back
+        row["turn_error_deg"] = None if found is None else math.degrees(math.dist(found, [-a for a in recording.turned_rad]))
     gaps = [k for k in range(1, len(frames)) if frames[k].time_s - frames[k - 1].time_s > 0.5]
     if len(gaps) == 1:
         bridged = steps.get(gaps[0])

@@ -105,6 +105,10 @@ def bias(amount):
     return seeded(lambda seed: faults.sensor_bias("accel", amount, seed))
 
 
+def turned(degrees):
+    return seeded(lambda seed: faults.turned_imu(degrees, seed))
+
+
 SIXTEEN_G = 16 * faults.GRAVITY
 TWO_THOUSAND_DEGREES = 34.9
 
@@ -135,6 +139,7 @@ INERTIAL = (
     with_imu("gyro_in_degrees", "gyroscope in degrees/s", faults.scaled("gyro", 57.29577951308232), least=TOLD),
     with_imu("axes_swapped", "x and y of the IMU swapped", faults.swapped_axes, least=TOLD),
     with_imu("extrinsics_inverted", "from the body to the cameras instead of back", faults.inverted_extrinsics, least=TOLD),
+    *(with_imu(f"mount_{d}", f"the IMU is turned by {d} degrees from where its calibration says", turned(d)) for d in (0.5, 2, 5)),
     with_imu("imu_stops", "no samples after 4 s", faults.only_samples(end_s=4)),
     with_imu("imu_starts_late", "no samples before 4 s", faults.only_samples(begin_s=4)),
     with_imu("rate_twice", "rate_hz is twice that of the samples", faults.wrong_rate(2)),

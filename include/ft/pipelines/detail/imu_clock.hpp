@@ -21,6 +21,7 @@
 #include "ft/core/config.hpp"
 #include "ft/math/small_matrices.hpp"
 #include "ft/math/so3.hpp"
+#include "ft/pipelines/detail/imu_rotation.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"
 
@@ -103,7 +104,7 @@ public:
 
   /// @param rate_hz of the samples @param middle_ns of the grid
   void reserve(double rate_hz, std::int64_t middle_ns) {
-    middle_ns_ = middle_ns;
+    middle_ns_ = used_ns_ = middle_ns;
     turns_.reserve(static_cast<std::size_t>(min_of(max_of(1.5 * rate_hz, 256.0), 16384.0)));
   }
   void clear() {
@@ -140,6 +141,18 @@ public:
     }
   }
   imu_clock_offset estimate() const;
+  imu_misalignment misalignment() const { return rotation_.estimate(); }
+  /// What is in use from now on. The clock's estimate begins anew with another turn, that of the
+  /// rotation with another offset.
+  void use(std::int64_t offset_ns, mat3<double> const& by) {
+    strict_mat3d const R = by.cast<real64>();
+    bool same = true;
+    for (int i = 0; i < 9; ++i) { same = same && R.m[i].value == turn_.m[i].value; }
+    if (!same) { forget_turns(); }
+    if (offset_ns != used_ns_) { rotation_.clear(); }
+    turn_ = R;
+    used_ns_ = offset_ns;
+  }
 
 private:
   static constexpr int pending = 64;
@@ -166,11 +179,18 @@ private:
   std::int64_t on_its_clock(std::int64_t time_ns, std::int64_t later_ns) const {
     return saturated_difference(time_ns, -(middle_ns_ + later_ns));
   }
-  void forget() {
-    waiting_ = seen_ = 0;
+  void forget_turns() {
     sums_.fill({});
     weight_ = apart_ = times_ = 0.0;
     taken_ns_ = std::numeric_limits<std::int64_t>::min();
+  }
+  void forget() {
+    waiting_ = seen_ = 0;
+    rotation_.clear();
+    forget_turns();
+  }
+  strict_vec3d measured(std::int64_t from, std::int64_t to) const {
+    return rotation_log(turns_.at_time(from).transposed() * turns_.at_time(to));
   }
   void take_front(bool use) {
     if (use) { take(pairs_[0]); }
@@ -187,8 +207,7 @@ private:
     real64 least = 1e30;
     for (int j = 0; j < points; ++j) {
       std::int64_t const d = (j - reach) * step_ns;
-      strict_vec3d const r =
-          t.seen - rotation_log(turns_.at_time(from + d).transposed() * turns_.at_time(to + d));
+      strict_vec3d const r = t.seen - turn_ * measured(from + d, to + d);
       off[static_cast<std::size_t>(j)] = r;
       least = min_of(least, dot(r, r));
     }
@@ -197,6 +216,10 @@ private:
     weight_ = keep * weight_ + real64(1.0);
     std::int64_t const since = saturated_difference(to, max_of(taken_ns_, from));
     apart_ = keep * apart_ + real64(static_cast<double>(since) * 1e-9) / duration;
+    std::int64_t const aside = saturated_difference(used_ns_, middle_ns_);
+    if (aside >= -reach_ns && aside <= reach_ns) {
+      rotation_.add({t.from_ns, t.to_ns, t.seen, measured(from + aside, to + aside)}, keep);
+    }
     taken_ns_ = to;
     times_ = keep * times_ + duration * duration;
     for (std::size_t j = 0; j < points; ++j) {
@@ -213,6 +236,9 @@ private:
 
   turn_history turns_;
   std::int64_t middle_ns_ = 0;
+  std::int64_t used_ns_ = 0;                      ///< offset in use
+  strict_mat3d turn_ = strict_mat3d::identity();  ///< of samples, in use
+  imu_rotation rotation_;
   std::array<attitude, images> attitudes_{};  ///< the last ones, oldest first
   int seen_ = 0;                              ///< of them
   std::array<turn, pending> pairs_{};

@@ -26,6 +26,7 @@
 #include "ft/kernels/odometry/link_window.hpp"
 #include "ft/kernels/odometry/scale_map.hpp"
 #include "ft/kernels/odometry/take_inertial.hpp"
+#include "ft/math/so3.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/odometry_part.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
@@ -95,6 +96,8 @@ public:
     if (!begun) {
       base_ns_[i] = from_ns = to_ns;
       offset_ns_[i] = nanoseconds(params_.time_offset_s);
+      turn_[i] = {};
+      queue(b).use(offset_ns_[i], turn_[i].R);
       seen_map_[i] = 0;
     }
     auto const seconds = [&](std::int64_t t) {
@@ -102,15 +105,16 @@ public:
     };
     imu_sample* const to = samples_ + i * static_cast<std::size_t>(params_.samples);
     auto const early_ns = static_cast<std::int64_t>(params_.selection.early_s * 1e9);
-    imu_clock_offset const clock =
-        params_.estimate_time_offset ? queue(b).clock() : imu_clock_offset{};
-    bool const anew = correct_clock(b, clock);
+    imu_clock_offset const clock = queue(b).clock();
+    bool anew = correct_clock(b, clock);
+    anew = correct_rotation(b) || anew;
+    if (anew) { queue(b).use(offset_ns_[i], turn_[i].R); }
     auto const on_its_clock = [&](std::int64_t t) {
       return saturated_difference(t, -offset_ns_[i]);
     };
-    int const n =
-        queue(b).take(on_its_clock(base_ns_[i]),
-                      on_its_clock(saturated_difference(to_ns, early_ns)), params_.samples, to);
+    int const n = queue(b).take(
+        on_its_clock(base_ns_[i]), on_its_clock(saturated_difference(to_ns, early_ns)),
+        turn_[i].made ? &turn_[i].of_samples : nullptr, params_.samples, to);
     inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples), anew ? 1 : 0,
                   clock_sigma(b, clock)};
   }
@@ -120,8 +124,12 @@ public:
     imu_tracking& out = of.imu;
     of.metric = of.metric || outputs_[b].metric != 0;
     out = imu_tracking_of(outputs_[b]);
-    if (params_.estimate_time_offset) { add_attitude(b, map, time_ns); }
+    if (params_.estimate_time_offset || params_.estimate_rotation) {
+      add_attitude(b, map, time_ns);
+    }
     queue(b).describe(saturated_difference(time_ns, -offset_ns_[i]), out);
+    if (params_.estimate_rotation) { out.misalignment = queue(b).misalignment(); }
+    out.turn = turn_[i].vector;
     out.time_offset_s = static_cast<double>(offset_ns_[i]) * 1e-9;
   }
 
@@ -217,6 +225,7 @@ private:
     for (int i = 0; i < batch; ++i) { queue(i).set_limits(params); }
     base_ns_.assign(b, 0);
     offset_ns_.assign(b, nanoseconds(params.time_offset_s));
+    turn_.assign(b, {});
     seen_map_.assign(b, 0);
   }
   void initialize(Exec const& exec) {
@@ -231,6 +240,7 @@ private:
   sample_queue& queue(int b) { return queues_[static_cast<std::size_t>(b)]; }
   /// Smaller changes of the offset are not made: standard deviations, and seconds.
   static constexpr double clear_sigmas = 4, clear_change_s = 1.5e-3;
+  static constexpr double clear_turn = 0.3 / 57.295779513082321;  ///< rad
   static std::int64_t nanoseconds(double s) { return std::llround(s * 1e9); }
 
   /// What the images alone tell of the IMU's attitude.
@@ -253,6 +263,20 @@ private:
     used = nanoseconds(found.offset_s);
     return true;
   }
+  /// Likewise, whether the turn of the samples has changed.
+  bool correct_rotation(int b) {
+    if (!params_.estimate_rotation || view_.seeks_scale) { return false; }
+    imu_misalignment const found = queue(b).misalignment();
+    turn_in_use& used = turn_[static_cast<std::size_t>(b)];
+    strict_mat3d const R = rotation_exp(found.turn.template cast<real64>());
+    strict_vec3d const change = rotation_log(used.R.template cast<real64>().transposed() * R);
+    if (!(found.sigma > 0) ||
+        !(std::sqrt(dot(change, change).value) > max_of(clear_sigmas * found.sigma, clear_turn))) {
+      return false;
+    }
+    used = {R.template cast<double>(), R.template cast<float>(), found.turn, true};
+    return true;
+  }
   /// A given offset is exact where it is not to be estimated.
   float clock_sigma(int b, imu_clock_offset const& found) const {
     if (!params_.estimate_time_offset) { return 0; }
@@ -260,6 +284,13 @@ private:
     return static_cast<float>(sigma_of_clock(found, used));
   }
   static constexpr memory_space staging = staging_space<Exec>;
+  /// Of samples, into the IMU's frame as T_bc has it.
+  struct turn_in_use {
+    mat3<double> R = mat3<double>::identity();
+    mat3<float> of_samples = mat3<float>::identity();
+    vec3<double> vector = {0, 0, 0};
+    bool made = false;
+  };
 
   inertial_poses problems(observations_view const& seen) const {
     inertial_poses poses = view_.poses;
@@ -284,6 +315,7 @@ private:
   std::unique_ptr<sample_queue[]> queues_;
   std::vector<std::int64_t> base_ns_;
   std::vector<std::int64_t> offset_ns_;  ///< of the clocks, in use
+  std::vector<turn_in_use> turn_;
   std::vector<int> seen_map_;  ///< number of the map that the last frame was tracked in; 0 = none
 };
 

@@ -131,7 +131,8 @@ public:
     capacity_ = static_cast<std::size_t>(p.waiting);
     max_accel_ = p.max_accel;
     max_gyro_ = p.max_gyro;
-    if (p.estimate_time_offset) {
+    finds_offset_ = p.estimate_time_offset;
+    if (p.estimate_time_offset || p.estimate_rotation) {
       clock_.reserve(static_cast<double>(p.noise.rate_hz), std::llround(p.time_offset_s * 1e9));
     }
   }
@@ -166,9 +167,10 @@ public:
   }
   /// Copies the samples up to the first one at `to_ns` or later, and drops those before it. A
   /// newest one that may be a spike waits.
-  /// @param base_ns time 0 of the copies, as to_ns on the IMU's clock @return their number; above
-  /// `capacity`, no more are copied
-  int take(std::int64_t base_ns, std::int64_t to_ns, int capacity, imu_sample* to) {
+  /// @param base_ns time 0 of the copies, as to_ns on the IMU's clock @param turn of the copies, or
+  /// null @return their number; above `capacity`, no more are copied
+  int take(std::int64_t base_ns, std::int64_t to_ns, mat3<float> const* turn, int capacity,
+           imu_sample* to) {
     std::lock_guard<std::mutex> const lock(mutex_);
     auto const late = std::find_if(waiting_.begin() + at(first_), waiting_.end(),
                                    [&](imu_measurement const& m) { return m.time_ns >= to_ns; });
@@ -180,6 +182,10 @@ public:
       if (n < capacity) {
         to[n] = {static_cast<double>(saturated_difference(m->time_ns, base_ns)) * 1e-9, m->accel,
                  m->gyro};
+        if (turn != nullptr) {
+          to[n].accel = *turn * m->accel;
+          to[n].gyro = *turn * m->gyro;
+        }
       }
     }
     drop_until(std::min(late, end));
@@ -192,12 +198,21 @@ public:
   }
   imu_clock_offset clock() {
     std::lock_guard<std::mutex> const lock(mutex_);
-    return clock_.estimate();
+    return finds_offset_ ? clock_.estimate() : imu_clock_offset{};
+  }
+  imu_misalignment misalignment() {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    return clock_.misalignment();
+  }
+  /// See imu_clock.
+  void use(std::int64_t offset_ns, mat3<double> const& turn) {
+    std::lock_guard<std::mutex> const lock(mutex_);
+    clock_.use(offset_ns, turn);
   }
   /// What is told of the samples. @param time_ns of the frame, on the IMU's clock
   void describe(std::int64_t time_ns, imu_tracking& out) {
     std::lock_guard<std::mutex> const lock(mutex_);
-    out.clock = clock_.estimate();
+    if (finds_offset_) { out.clock = clock_.estimate(); }
     out.left_out = left_out_;
     out.rate_hz = rate_.hz();
     out.newest_s = any_ ? static_cast<double>(saturated_difference(last_ns_, time_ns)) * 1e-9 : 0.0;
@@ -261,6 +276,7 @@ private:
   turn_spikes spikes_;
   imu_left_out left_out_;
   imu_clock clock_;
+  bool finds_offset_ = false;
 };
 
 }  // namespace detail

@@ -4,9 +4,9 @@
 /// Between two images the camera turns by what the gyroscope measured between the same two moments
 /// of its own clock. For offsets on a grid the squared differences of both turns are summed, with
 /// the gyroscope's bias eliminated; the least sum tells the offset, and its curvature how certain
-/// that is. An image's attitude drifts with its map, so turns that overlap share their errors: as
-/// many count as do not. Turning at a constant rate tells nothing. Neither gravity nor the
-/// accelerometer is needed. (The idea of Kelly and Sukhatme, "A general framework for temporal
+/// that is, with the autocorrelations of what remains (see imu_rotation): turns that overlap share
+/// the errors of a map that drifts. Turning at a constant rate tells nothing. Neither gravity nor
+/// the accelerometer is needed. (The idea of Kelly and Sukhatme, "A general framework for temporal
 /// calibration of multiple proprioceptive and exteroceptive sensors", ISER 2010, with a bias.)
 #pragma once
 
@@ -14,7 +14,6 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 #include <vector>
 
 #include "ft/core/arithmetic.hpp"
@@ -174,6 +173,16 @@ private:
   struct sums {
     real64 squares = 0.0;                 ///< of differences
     strict_vec3d by_time{0.0, 0.0, 0.0};  ///< of differences times their duration
+    /// Of products with the sum of the differences of earlier turns that overlap, and what a bias
+    /// changes of it.
+    real64 shared = 0.0;
+    strict_vec3d shared_by_time{0.0, 0.0, 0.0};
+  };
+  using differences = std::array<strict_vec3d, points>;
+  struct taken_turn {
+    std::int64_t to_ns;
+    real64 duration;
+    differences off;
   };
 
   std::int64_t on_its_clock(std::int64_t time_ns, std::int64_t later_ns) const {
@@ -181,8 +190,8 @@ private:
   }
   void forget_turns() {
     sums_.fill({});
-    weight_ = apart_ = times_ = 0.0;
-    taken_ns_ = std::numeric_limits<std::int64_t>::min();
+    weight_ = times_ = shared_times_ = 0.0;
+    taken_ = 0;
   }
   void forget() {
     waiting_ = seen_ = 0;
@@ -203,7 +212,7 @@ private:
     std::int64_t const from = on_its_clock(t.from_ns, 0), to = on_its_clock(t.to_ns, 0);
     if (!turns_.covers(from - reach_ns, to + reach_ns)) { return; }
     real64 const duration = static_cast<double>(to - from) * 1e-9;
-    std::array<strict_vec3d, points> off;
+    differences off;
     real64 least = 1e30;
     for (int j = 0; j < points; ++j) {
       std::int64_t const d = (j - reach) * step_ns;
@@ -214,24 +223,43 @@ private:
     if (!(least < real64(strange * strange))) { return; }
     real64 const keep = memory;
     weight_ = keep * weight_ + real64(1.0);
-    std::int64_t const since = saturated_difference(to, max_of(taken_ns_, from));
-    apart_ = keep * apart_ + real64(static_cast<double>(since) * 1e-9) / duration;
     std::int64_t const aside = saturated_difference(used_ns_, middle_ns_);
     if (aside >= -reach_ns && aside <= reach_ns) {
       rotation_.add({t.from_ns, t.to_ns, t.seen, measured(from + aside, to + aside)}, keep);
     }
-    taken_ns_ = to;
     times_ = keep * times_ + duration * duration;
+    differences before{};  // the sum of those that overlap
+    real64 before_s = 0.0;
+    for (int k = 0; k < taken_; ++k) {
+      taken_turn const& earlier = last_[static_cast<std::size_t>(k)];
+      if (earlier.to_ns <= from) { continue; }
+      before_s = before_s + earlier.duration;
+      for (std::size_t j = 0; j < points; ++j) { before[j] = before[j] + earlier.off[j]; }
+    }
+    shared_times_ = keep * shared_times_ + duration * before_s;
     for (std::size_t j = 0; j < points; ++j) {
       sums& s = sums_[j];
       s.squares = keep * s.squares + dot(off[j], off[j]);
       s.by_time = scaled(s.by_time, keep) + scaled(off[j], duration);
+      s.shared = keep * s.shared + dot(off[j], before[j]);
+      s.shared_by_time =
+          scaled(s.shared_by_time, keep) + (scaled(before[j], duration) + scaled(off[j], before_s));
     }
+    for (int k = taken_ < images ? taken_++ : images - 1; k > 0; --k) {
+      last_[static_cast<std::size_t>(k)] = last_[static_cast<std::size_t>(k) - 1];
+    }
+    last_[0] = {to, duration, off};
   }
   /// What remains of the squares with the bias that suits them best.
   real64 cost(int j) const {
     sums const& s = sums_[static_cast<std::size_t>(j)];
     return s.squares - dot(s.by_time, s.by_time) / times_;
+  }
+  /// What remains of the products with earlier turns.
+  real64 shared(int j) const {
+    sums const& s = sums_[static_cast<std::size_t>(j)];
+    strict_vec3d const bias = scaled(s.by_time, real64(1.0) / times_);
+    return s.shared - dot(bias, s.shared_by_time) + dot(bias, bias) * shared_times_;
   }
 
   turn_history turns_;
@@ -244,9 +272,10 @@ private:
   std::array<turn, pending> pairs_{};
   int waiting_ = 0;
   std::array<sums, points> sums_{};
-  real64 weight_ = 0.0, times_ = 0.0;  ///< turns; the sum of their squared durations
-  real64 apart_ = 0.0;  ///< of the turns, as many as do not overlap: others share their errors
-  std::int64_t taken_ns_ = std::numeric_limits<std::int64_t>::min();  ///< end of the last one
+  real64 weight_ = 0.0, times_ = 0.0;      ///< turns; the sum of their squared durations
+  real64 shared_times_ = 0.0;              ///< of their products with those of overlapping ones
+  std::array<taken_turn, images> last_{};  ///< newest first
+  int taken_ = 0;                          ///< of them
 };
 
 inline imu_clock_offset imu_clock::estimate() const {
@@ -264,9 +293,12 @@ inline imu_clock_offset imu_clock::estimate() const {
   real64 const least = at - real64(0.25) * (before - after) * aside;
   real64 const step = static_cast<double>(step_ns) * 1e-9;
   // The sum grows by bend / 2 over a step: in units of a turn's variance, by one over a deviation.
-  real64 const degrees = real64(3.0) * apart_ - real64(4.0);
-  if (!(degrees > real64(0.0))) { return out; }
-  real64 const variance = max_of(least, real64(1e-12)) / degrees;
+  real64 const degrees = real64(3.0) * weight_ - real64(4.0);
+  real64 const rest = max_of(least, real64(1e-12));
+  // A parabola, as the sum of squares is.
+  real64 const s0 = shared(best - 1), s1 = shared(best), s2 = shared(best + 1);
+  real64 const common = s1 + real64(0.5) * aside * (s2 - s0 + aside * (s0 + s2 - (s1 + s1)));
+  real64 const variance = max_of(rest + common + common, rest) / degrees;
   real64 const sigma = step * scalar::sqrt(real64(2.0) * variance / bend);
   out.offset_s = ((real64(static_cast<double>(best - reach)) + aside) * step).value +
                  static_cast<double>(middle_ns_) * 1e-9;

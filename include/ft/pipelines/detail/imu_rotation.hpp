@@ -31,7 +31,6 @@ namespace detail {
 /// The estimator of one camera. Allocates nothing.
 class imu_rotation {
 public:
-  static constexpr int lags = 16;  ///< turns that overlap are fewer
   /// How a body turned between two times.
   struct turn {
     std::int64_t from_ns, to_ns;
@@ -42,15 +41,16 @@ public:
   void clear() { *this = {}; }
   /// @param t ends after those before it @param keep share of their weight that remains
   void add(turn const& t, real64 keep) {
-    for (int k = kept_ < lags ? kept_++ : lags - 1; k > 0; --k) { last_[at(k)] = last_[at(k - 1)]; }
-    last_[0] = equations_of(t);
-    count_ = keep * count_ + real64(1.0);
-    for (int k = 0; k < lags; ++k) {
-      for (real64& v : sums_[at(k)].v) { v = keep * v; }
-      if (k < kept_ && last_[at(k)].to_ns > last_[0].from_ns) {
-        sums_[at(k)].add(last_[0], last_[at(k)]);
-      }
+    equations const now = equations_of(t);
+    equations before{};  // the sum of those that overlap
+    for (int k = 0; k < kept_; ++k) {
+      if (last_[at(k)].to_ns > now.from_ns) { before.add(last_[at(k)]); }
     }
+    for (int k = kept_ < most ? kept_++ : most - 1; k > 0; --k) { last_[at(k)] = last_[at(k - 1)]; }
+    last_[0] = now;
+    count_ = keep * count_ + real64(1.0);
+    each_.add(now, now, keep);
+    shared_.add(now, before, keep);
   }
   imu_misalignment estimate() const {
     imu_misalignment out;
@@ -58,7 +58,7 @@ public:
     real64 const degrees = real64(3.0) * count_ - real64(6.0);
     real64 upper[21];
     for (int i = 0, n = 0; i < 6; ++i) {
-      for (int j = i; j < 6; ++j) { upper[n++] = sums_[0].matrix(i, j); }
+      for (int j = i; j < 6; ++j) { upper[n++] = each_.matrix(i, j); }
     }
     double inverse[36];
     if (!invert_6(upper, inverse)) { return out; }
@@ -66,12 +66,11 @@ public:
     for (int i = 0; i < 6; ++i) {
       x[i] = 0.0;
       for (int j = 0; j < 6; ++j) {
-        x[i] = x[i] + real64(0.5 * inverse[6 * i + j]) * sums_[0].right(j);
+        x[i] = x[i] + real64(0.5 * inverse[6 * i + j]) * each_.right(j);
       }
     }
-    real64 const rest = max_of(sums_[0].product(x), real64(1e-12));
-    real64 shared = 0.0;
-    for (int k = 1; k < lags; ++k) { shared = shared + sums_[at(k)].product(x); }
+    real64 const rest = max_of(each_.product(x), real64(1e-12));
+    real64 const shared = shared_.product(x);
     real64 const variance = max_of(rest + shared + shared, rest) / degrees;
     out.sigma = scalar::sqrt(variance * real64(inverse[0] + inverse[7] + inverse[14])).value;
     out.turn = rotation_log(rotation_of({x[0], x[1], x[2]})).template cast<double>();
@@ -80,6 +79,7 @@ public:
   }
 
 private:
+  static constexpr int most = 16;                 ///< turns that overlap a later one are fewer
   static constexpr double fewest = 30;            ///< turns: fewer tell nothing
   static constexpr double most_sigma = 1.745e-3;  ///< rad: 0.1 degree
 
@@ -87,6 +87,13 @@ private:
   struct equations {
     std::int64_t from_ns, to_ns;
     real64 J[3][6], off[3];
+
+    void add(equations const& e) {
+      for (int r = 0; r < 3; ++r) {
+        off[r] = off[r] + e.off[r];
+        for (int i = 0; i < 6; ++i) { J[r][i] = J[r][i] + e.J[r][i]; }
+      }
+    }
   };
   /// Of pairs of turns: products of what remains with some x, as a quadratic form of it.
   struct sums {
@@ -94,7 +101,8 @@ private:
 
     real64 right(int i) const { return v[1 + i]; }
     real64 matrix(int i, int j) const { return v[7 + 6 * i + j]; }
-    void add(equations const& a, equations const& b) {
+    void add(equations const& a, equations const& b, real64 keep) {
+      for (real64& x : v) { x = keep * x; }
       for (int r = 0; r < 3; ++r) {
         v[0] = v[0] + a.off[r] * b.off[r];
         for (int i = 0; i < 6; ++i) {
@@ -139,10 +147,10 @@ private:
     return R;
   }
 
-  std::array<equations, lags> last_{};  ///< newest first
+  std::array<equations, most> last_{};  ///< newest first
   int kept_ = 0;                        ///< of them
-  std::array<sums, lags> sums_{};
-  real64 count_ = 0.0;  ///< of turns
+  sums each_, shared_;                  ///< of turns with themselves, with overlapping earlier ones
+  real64 count_ = 0.0;                  ///< of turns
 };
 
 }  // namespace detail

@@ -515,6 +515,15 @@ char const* name_of(ft::tracking_state s) {
   return "lost";
 }
 
+/// Numbers of the bits that are set.
+std::vector<int> bits_of(std::uint32_t set) {
+  std::vector<int> all;
+  for (int i = 0; i < 32; ++i) {
+    if ((set >> i & 1u) != 0) { all.push_back(i); }
+  }
+  return all;
+}
+
 void bind_tracking(nb::module_& m) {
   nb::class_<tracking>(m, "Tracking", "What is known about a camera after a frame.")
       .def_prop_ro(
@@ -554,16 +563,12 @@ void bind_tracking(nb::module_& m) {
           },
           "the same as a sentence that has the numbers")
       .def_prop_ro(
-          "missing_images",
-          [](tracking const& t) {
-            std::vector<int> all;
-            for (int i = 0; i < 32; ++i) {
-              if ((t.of.missing_images >> i & 1u) != 0) { all.push_back(i); }
-            }
-            return all;
-          },
+          "missing_images", [](tracking const& t) { return bits_of(t.of.missing_images); },
           "images of a MultiRig that were None in this frame: 2 c is that of camera c, 2 c + 1 the "
           "right one of its rectified pair")
+      .def_prop_ro(
+          "missing_depths", [](tracking const& t) { return bits_of(t.of.missing_depths); },
+          "cameras of a MultiRig whose depth image was None in this frame")
       .def_prop_ro(
           "map_id", [](tracking const& t) { return t.of.map_id; },
           "number of the map that the pose is in, from 1 on; 0 without a map")

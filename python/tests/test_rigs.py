@@ -336,6 +336,11 @@ def test_a_recording_with_a_depth_camera_is_tracked(walk, tmp_path):
         for i, frame in enumerate(sequence):
             pose = odometry.track(*frame.images, frame.time_ns)
             assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
+            assert pose.missing_depths == []
+        grey, _, _ = sequence[0].images
+        lacking = odometry_of(sequence.rig).track(grey, None, grey, 0)
+        assert lacking.missing_depths == [0] and lacking.missing_images == [] and lacking.reason == "images_missing"
+        assert "depth image of camera 0" in lacking.explanation
         assert odometry.keypoints()["depth"].max() == pytest.approx(FAR, rel=0.01)
         near = ft.read_sequence(tmp_path, rig="mixed", depth_unit=0.001, max_depth=2.5)
         odometry = odometry_of(near.rig)

@@ -12,6 +12,7 @@
 #include "ft/cameras/any_camera.hpp"
 #include "ft/cameras/mixed_rig.hpp"
 #include "ft/core/error.hpp"
+#include "ft/pipelines/explain.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/mixed_rig_walk.hpp"
@@ -204,11 +205,41 @@ TYPED_TEST(mixed_rig_odometry, goes_on_while_cameras_miss_images_and_depths) {
     auto const t = odo.track(images, time += 50'000'000);
     EXPECT_EQ(t.state, ft::tracking_state::tracking) << f;
     EXPECT_EQ(t.missing_images, missing) << f;
+    EXPECT_EQ(t.missing_depths, f > 0 && f % 2 == 0 ? 1u << 5 : 0u) << f;
     EXPECT_LT(error_of(t, walk[f].T_cw, walk[0].T_cw), 0.02) << f;
   }
   auto images = views_of<cameras>(walk[0]);
   for (auto& of : images.of) { of = {}; }
   EXPECT_THROW(odo.track(images, time + 1), ft::bad_argument);
+}
+
+TYPED_TEST(mixed_rig_odometry, says_which_depth_image_is_missing) {
+  TypeParam backend;
+  auto const rig = rig_of({pinhole(aside()), depth_camera(ft::pose::identity())});
+  auto const walk = make_mixed_walk(rig, 1, 4);
+  auto params = test::room::odometry_params(8192);
+  params.prefetch = 1;
+  ft::odometry<typename TypeParam::exec_type, rig_type> odo(backend.exec, rig, params);
+  auto const track = [&](std::size_t f, bool depth) {
+    auto images = views_of<cameras>(walk[f]);
+    if (!depth) { images.depth[1] = {}; }
+    if (f % 2 == 0) { return odo.track(images, 50'000'000 * static_cast<std::int64_t>(f + 1)); }
+    odo.prefetch(images);
+    return odo.track_prefetched(50'000'000 * static_cast<std::int64_t>(f + 1));
+  };
+  auto const none = track(0, false);
+  EXPECT_EQ(none.state, ft::tracking_state::initialising);
+  EXPECT_EQ(none.missing_depths, 0b10u);
+  auto const why = ft::explain(none);
+  EXPECT_EQ(why.reason, ft::tracking_reason::images_missing);
+  EXPECT_NE(why.text.find("depth image of camera 1"), std::string::npos) << why.text;
+  bool const there[] = {true, true, false};  // of the following frames
+  for (std::size_t f = 1; f < 4; ++f) {
+    auto const t = track(f, there[f - 1]);
+    EXPECT_EQ(t.state, ft::tracking_state::tracking) << f;
+    EXPECT_EQ(t.missing_depths, there[f - 1] ? 0u : 0b10u) << f;
+    EXPECT_EQ(t.missing_images, 0u) << f;
+  }
 }
 
 TEST(mixed_rig, refuses_what_is_no_rig) {

@@ -30,7 +30,8 @@ enum class tracking_reason : int {
   no_depth,             ///< hardly any keypoint finds a depth in the depth image
   stereo_inconsistent,  ///< hardly any keypoint has a stereo match: images exchanged, or the
                         ///< calibration is another one's
-  images_missing,       ///< cameras of a rig gave no image, and the others see too little
+  images_missing,       ///< cameras of a rig gave no image or no depth image, and what is there
+                        ///< tells too little
   few_depths,           ///< too few keypoints have a depth to begin a map
   awaits_motion,        ///< one camera: the map begins when the camera has moved sideways
   images_repeat,        ///< images are those of the frame before while the IMU moves
@@ -102,13 +103,17 @@ inline tracking_explanation explain_light(tracking const& t, explanation_limits 
   return {};
 }
 
-/// Which images of a rig were not given: "image 0, image 3".
-inline std::string missing_text(std::uint32_t missing) {
+/// Which images of a rig were not given: "image 0, image 3, depth image of camera 2".
+inline std::string missing_text(tracking const& t) {
   std::string all;
-  for (int i = 0; i < 32; ++i) {
-    if ((missing >> i & 1u) == 0) { continue; }
-    all += (all.empty() ? "image " : ", image ") + std::to_string(i);
-  }
+  auto const name = [&](std::uint32_t missing, char const* what) {
+    for (int i = 0; i < 32; ++i) {
+      if ((missing >> i & 1u) == 0) { continue; }
+      all += (all.empty() ? "" : ", ") + (what + std::to_string(i));
+    }
+  };
+  name(t.missing_images, "image ");
+  name(t.missing_depths, "depth image of camera ");
   return all;
 }
 
@@ -200,9 +205,9 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
   if (few_keypoints || few_depths) {
     auto light = detail::explain_light(t, limits);
     if (light.reason != tracking_reason::none) { return light; }
-    if (t.missing_images != 0) {
+    if ((t.missing_images | t.missing_depths) != 0) {
       return {tracking_reason::images_missing,
-              "the frame came without " + detail::missing_text(t.missing_images) + ": only " +
+              "the frame came without " + detail::missing_text(t) + ": only " +
                   std::to_string(t.keypoints) + " keypoints, " + std::to_string(t.stereo_points) +
                   " with a depth"};
     }

@@ -102,7 +102,7 @@ public:
   /// @return [batch] valid until the next call
   /// @throws bad_argument for an image that is null or of another size, or for a time that is not
   ///   after the camera's last one; then nothing has changed. Of a multi_rig of several cameras or
-  ///   a mixed_rig images may be null, but not all: tracking::missing_images
+  ///   a mixed_rig images may be null, but not all: tracking::missing_images, missing_depths
   tracking const* track(images_type const* images, std::int64_t const* time_ns) {
     engine& p = made();
     p.require_images();

@@ -80,7 +80,8 @@ struct rig_images {
 };
 
 /// The same of a mixed_rig: image 2 c + 1 only of a rectified pair, and the depth images of the
-/// cameras that have one, as in rgbd_images. An image whose data is null is missing in this frame.
+/// cameras that have one, as in rgbd_images. An image whose data is null is missing in this frame:
+/// tracking::missing_images, missing_depths.
 template <int N>
 struct mixed_images {
   gray_view of[2 * N];

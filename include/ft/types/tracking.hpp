@@ -165,6 +165,7 @@ struct tracking {
   int agreed = 0;          ///< keypoints that agree with the pose that was tried last; of a tracked
                            ///< frame as `inliers`, else too few
   std::uint32_t missing_images = 0;  ///< bit i: image i of a rig of several cameras was null
+  std::uint32_t missing_depths = 0;  ///< bit c: the depth image of camera c of a mixed_rig was null
   int distant_points = 0;  ///< of stereo_points, those beyond distant_baselines of the rig
   depth_origin depths = depth_origin::stereo;
   /// Number of the map that the pose is in, from 1 on; 0 = there is none yet. With ft::loops of

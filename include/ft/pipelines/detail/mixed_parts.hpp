@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "ft/cameras/image_domain.hpp"
@@ -41,11 +42,14 @@ public:
     }
     depths_ =
         depth_input<Exec>(geometry.width[0], geometry.height[0], N * batch, depth_cameras_ * batch);
+    missing_.assign(static_cast<std::size_t>(batch), 0);
   }
 
   frame_images<Exec> const& images() const { return images_; }
   depth_sources_view depths() const { return depths_.view(); }
   allocated_bytes allocated() const { return images_.allocated() + depths_.allocated(); }
+  /// Bit c: the depth image of camera c of rig b is null.
+  std::uint32_t missing_depths(int b) const { return missing_[static_cast<std::size_t>(b)]; }
   /// @throws bad_argument for an image of another size; null means that the camera has none
   void take(int b, images_type const& given) {
     auto const has_depth = [&](int c) { return number_[c] >= 0 && given.depth[c].data != nullptr; };
@@ -53,11 +57,14 @@ public:
       if (has_depth(c)) { depths_.require_depth(given.depth[c], scaled_[c]); }
     }
     take_some(images_, b, 2 * N, given.of);
+    std::uint32_t& missing = missing_[static_cast<std::size_t>(b)];
+    missing = 0;
     for (int c = 0; c < N; ++c) {
       if (has_depth(c)) {
         depths_.take(N * b + c, depth_cameras_ * b + number_[c], given.depth[c]);
       } else if (number_[c] >= 0) {
         depths_.leave_out(N * b + c);
+        missing |= 1u << c;
       }
     }
   }
@@ -72,7 +79,13 @@ private:
   bool scaled_[N] = {};
   int number_[N] = {};  ///< of a camera among those with a depth image; -1 = it has none
   int depth_cameras_ = 0;
+  std::vector<std::uint32_t> missing_;  ///< [batch]
 };
+
+template <typename Exec, int N>
+std::uint32_t missing_depths_of(rig_input<Exec, mixed_rig<N>> const& input, int b) {
+  return input.missing_depths(b);
+}
 
 /// Depths of the keypoints of mixed rigs: those of rectified pairs by a stereo_matcher, then those
 /// of the other pairs, then those of depth images.

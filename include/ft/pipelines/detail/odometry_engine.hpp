@@ -299,6 +299,7 @@ private:
       results[i].depths = depths_of(rig);
       results[i].evidence.rectified = Rig::rectified;
       results[i].missing_images = stages.own.missing[b];
+      results[i].missing_depths = missing_depths_of(stages.input, b);
       results[i].metric = !stages_type::starts_from_motion;
       results[i].T_odom_camera = results[i].T_world_camera;
       for (auto const& p : stages.plugged) { p->describe(b, time_ns[b], results[i]); }

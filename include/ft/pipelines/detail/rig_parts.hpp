@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <type_traits>
 
 #include "ft/cameras/multi_rig.hpp"
@@ -55,6 +56,13 @@ public:
 private:
   frame_images<Exec> images_;
 };
+
+/// Depth images that cameras of rig b miss in the frame that was taken, see
+/// tracking::missing_depths.
+template <typename Input>
+std::uint32_t missing_depths_of(Input const&, int /*b*/) {
+  return 0;
+}
 
 /// The parts of a rig. This one is that of the rigs whose images are searched as they come.
 template <typename Rig>

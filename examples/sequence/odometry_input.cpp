@@ -128,6 +128,23 @@ ft::any_images odometry_images(stereo_frame const& frame) {
   return images;
 }
 
+void odometry_masks::set(ft::any_odometry& odometry, stereo_frame const& frame) {
+  set_.resize(frame.masks.size());
+  for (std::size_t c = 0; c < set_.size(); ++c) {
+    if (frame.masks[c] == set_[c]) { continue; }
+    set_[c] = frame.masks[c];
+    ft::orb_params const& orb = odometry.params().orb;
+    image all{orb.mask_width, orb.mask_height, {}};
+    if (set_[c] == nullptr) {
+      all.pixels.assign(static_cast<std::size_t>(all.width) * static_cast<std::size_t>(all.height),
+                        255);
+    }
+    image const& mask = set_[c] != nullptr ? *set_[c] : all;
+    odometry.set_mask(0, static_cast<int>(mixed_ ? 2 * c : c),
+                      {mask.pixels.data(), mask.width, mask.height, mask.width});
+  }
+}
+
 ft::rigid<double> odometry_pose(Eigen::Isometry3d const& T) {
   ft::rigid<double> p;
   for (int r = 0; r < 3; ++r) {

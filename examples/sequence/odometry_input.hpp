@@ -11,6 +11,8 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <memory>
+#include <vector>
 
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/types.hpp"
@@ -34,8 +36,21 @@ ft::imu_params odometry_imu(sequence const& recording);
 ft::imu_measurement odometry_sample(imu_sample const& sample);
 
 /// The images of a frame, which outlives them; of a rig those that cameras miss are null. Masks of
-/// a frame (stereo_frame::masks) are not in it: any_odometry::set_mask().
+/// a frame are not in it: odometry_masks.
 ft::any_images odometry_images(stereo_frame const& frame);
+
+/// Gives an odometry of odometry_settings() the masks of frames (open_options::masks), each one
+/// once while frames share it.
+class odometry_masks {
+public:
+  explicit odometry_masks(sequence const& recording) : mixed_(recording.mixed()) {}
+  /// Before the frame's track() or prefetch(). Does nothing for a recording without masks.
+  void set(ft::any_odometry& odometry, stereo_frame const& frame);
+
+private:
+  bool mixed_;  ///< image 2 c is that of camera c
+  std::vector<std::shared_ptr<image const>> set_;
+};
 
 ft::rigid<double> odometry_pose(Eigen::Isometry3d const& T);
 /// @param T camera to world

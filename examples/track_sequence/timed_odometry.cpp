@@ -41,9 +41,7 @@ std::vector<std::string> stage_names_of(ft::rig_kind kind) {
 }  // namespace
 
 timed_odometry::timed_odometry(ft::any_odometry odometry, ft::rig_kind kind)
-    : odometry_(std::move(odometry)),
-      sums_(stage_names_of(kind)),
-      multi_(kind == ft::rig_kind::multi) {}
+    : odometry_(std::move(odometry)), sums_(stage_names_of(kind)) {}
 
 frame_outcome timed_odometry::track(ft::any_images const& images, std::int64_t time_ns) {
   return timed([&] { return odometry_.track(images, later_than_before(time_ns)); });
@@ -54,22 +52,6 @@ void timed_odometry::prefetch(ft::any_images const& images) {
   odometry_.prefetch(images);
   prefetch_ms_ += now_ms() - start;
   handed_ms_.push_back(start);
-}
-
-void timed_odometry::use_masks(std::vector<std::shared_ptr<seq::image const>> const& masks) {
-  masks_.resize(masks.size());
-  for (std::size_t c = 0; c < masks.size(); ++c) {
-    if (masks[c] == masks_[c]) { continue; }
-    masks_[c] = masks[c];
-    ft::orb_params const& orb = odometry_.params().orb;
-    seq::image const all{orb.mask_width, orb.mask_height,
-                         std::vector<std::uint8_t>(static_cast<std::size_t>(orb.mask_width) *
-                                                       static_cast<std::size_t>(orb.mask_height),
-                                                   std::uint8_t{255})};
-    seq::image const& mask = masks[c] != nullptr ? *masks[c] : all;
-    odometry_.set_mask(0, static_cast<int>(multi_ ? 2 * c : c),
-                       {mask.pixels.data(), mask.width, mask.height, mask.width});
-  }
 }
 
 void timed_odometry::forget_prefetched() {

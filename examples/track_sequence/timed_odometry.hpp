@@ -4,7 +4,6 @@
 
 #include <cstdint>
 #include <deque>
-#include <memory>
 #include <optional>
 #include <ostream>
 #include <string>
@@ -47,8 +46,6 @@ public:
   /// @param time_ns one that stands still or goes back is taken for one at the usual distance
   frame_outcome track(ft::any_images const& images, std::int64_t time_ns);
   void prefetch(ft::any_images const& images);
-  /// Those of the cameras, for the frames that are given from now on; null = none.
-  void use_masks(std::vector<std::shared_ptr<seq::image const>> const& masks);
   void forget_prefetched();
   frame_outcome track_prefetched(std::int64_t time_ns);
 
@@ -66,8 +63,6 @@ private:
 
   ft::any_odometry odometry_;
   stage_sums sums_;
-  bool multi_;  ///< image 2 c is that of camera c
-  std::vector<std::shared_ptr<seq::image const>> masks_;
   std::int64_t time_ns_ = 0;      ///< of the last frame
   std::int64_t interval_ns_ = 1;  ///< time from the preceding frame to it
   double prefetch_ms_ = 0;        ///< in prefetch(), since the last frame

@@ -16,7 +16,6 @@
 #include <string>
 #include <utility>
 
-#include "examples/sequence/odometry_input.hpp"
 #include "examples/sequence/read_ahead.hpp"
 #include "examples/track_sequence/interrupt.hpp"
 
@@ -66,10 +65,12 @@ seq::sample_frame sample_of(int index, seq::image picture, std::vector<seen_keyp
 class upcoming_frames {
 public:
   /// @param prefetch frames that the odometry may have at a time; 0 = none
-  upcoming_frames(seq::read_ahead& reader, int frames, timed_odometry& odometry, int prefetch)
+  upcoming_frames(seq::read_ahead& reader, int frames, timed_odometry& odometry,
+                  seq::odometry_masks& masks, int prefetch)
       : reader_(reader),
         frames_(frames),
         odometry_(odometry),
+        masks_(masks),
         prefetch_(static_cast<std::size_t>(prefetch)) {}
   upcoming_frames(upcoming_frames const&) = delete;
   upcoming_frames& operator=(upcoming_frames const&) = delete;
@@ -94,7 +95,7 @@ private:
   void give(int i) {
     try {
       seq::stereo_frame frame = reader_.take(i);
-      odometry_.use_masks(frame.masks);
+      masks_.set(odometry_.odometry(), frame);
       odometry_.prefetch(seq::odometry_images(frame));
       given_.push_back(std::move(frame));
     } catch (...) { failure_ = std::current_exception(); }
@@ -103,6 +104,7 @@ private:
   seq::read_ahead& reader_;
   int frames_;
   timed_odometry& odometry_;
+  seq::odometry_masks& masks_;
   std::size_t prefetch_;
   std::deque<seq::stereo_frame> given_;
   int next_ = 0;
@@ -117,6 +119,7 @@ tracking_run::tracking_run(arguments const& a, seq::sequence const& sequence,
     : arguments_(a),
       sequence_(sequence),
       odometry_(odometry),
+      masks_(sequence),
       report_(report),
       scale_factor_(setup.scale_factor),
       prefetch_(setup.params.prefetch),
@@ -143,7 +146,7 @@ void tracking_run::track_all() {
   auto const begin = clock::now();
   seq::read_ahead reader([this](int i) { return sequence_.load(i); }, frames,
                          *arguments_.read_ahead);
-  upcoming_frames upcoming(reader, frames, odometry_, prefetch_);
+  upcoming_frames upcoming(reader, frames, odometry_, masks_, prefetch_);
   auto const stop = [this](int i, std::string const& why) {
     report_.stopped_at = i;
     report_.stopped_by = why;
@@ -183,7 +186,7 @@ void tracking_run::track_all() {
 
 void tracking_run::track(int i, seq::stereo_frame frame) {
   add_imu(frame.time_ns);
-  if (prefetch_ == 0) { odometry_.use_masks(frame.masks); }
+  if (prefetch_ == 0) { masks_.set(odometry_.odometry(), frame); }
   frame_outcome const outcome = prefetch_ > 0
                                     ? odometry_.track_prefetched(frame.time_ns)
                                     : odometry_.track(seq::odometry_images(frame), frame.time_ns);

@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "examples/sequence/odometry_input.hpp"
 #include "examples/sequence/reader.hpp"
 #include "examples/sequence/rectify.hpp"
 #include "examples/sequence/report.hpp"
@@ -43,6 +44,7 @@ private:
   arguments const& arguments_;
   seq::sequence const& sequence_;
   timed_odometry& odometry_;
+  seq::odometry_masks masks_;
   seq::run_report& report_;
   double scale_factor_;
   int prefetch_;  ///< frames that the odometry gets early

@@ -2,6 +2,7 @@
 // Writes a recording of a wall 2 m away that moves by 0.02 m a frame, as its user would have one,
 // opens it and tracks it on the host.
 //   consumer FOLDER
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -47,6 +48,9 @@ void write_recording(std::string const& folder) {
          "cam1:\n  camera_model: pinhole\n  distortion_model: none\n  distortion_coeffs: []\n"
          "  intrinsics: [200, 200, 160, 120]\n  resolution: [320, 240]\n"
          "  T_cn_cnm1: [[1, 0, 0, -0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n";
+  seq::image mask{width, height, std::vector<std::uint8_t>(width * height, std::uint8_t{0})};
+  std::fill_n(mask.pixels.begin(), width * height * 3 / 4, std::uint8_t{255});
+  seq::write_png(folder + "/mask.png", mask);
 }
 
 }  // namespace
@@ -55,22 +59,33 @@ int main(int, char** argv) try {
   std::string const folder = argv[1];
   write_recording(folder);
   int tracked = 0;
+  float lowest = 0;  // row of a keypoint of the finest level
 
-  auto const recording = seq::sequence::open(folder);
+  seq::open_options options;
+  options.masks = {folder + "/mask.png"};  // of the left camera
+  auto const recording = seq::sequence::open(folder, options);
   ft::any_odometry odometry =
       ft::make_odometry({}, seq::odometry_rig(recording), seq::odometry_settings(recording));
+  seq::odometry_masks masks(recording);
   ft::tracking pose;
   for (int i = 0; i < recording.size(); ++i) {
     seq::stereo_frame const frame = recording.load(i);
+    masks.set(odometry, frame);
     pose = odometry.track(seq::odometry_images(frame), frame.time_ns);
     tracked += pose.state == ft::tracking_state::tracking ? 1 : 0;
+    ft::tracked_frame_view const& keys = odometry.keypoints();
+    for (int k = 0; k < keys.keypoints[0]; ++k) {
+      if (keys.octave[k] == 0) { lowest = std::max(lowest, keys.y[k]); }
+    }
   }
 
   double const moved = 0.02 * (frames - 1);
-  std::printf("ft %d.%d, %d of %d frames tracked, moved %.4f m of %.4f m\n", ft::version_major,
-              ft::version_minor, tracked, recording.size(), pose.T_world_camera.t.x, moved);
+  std::printf("ft %d.%d, %d of %d frames tracked, moved %.4f m of %.4f m, keypoints to row %.0f\n",
+              ft::version_major, ft::version_minor, tracked, recording.size(),
+              pose.T_world_camera.t.x, moved, static_cast<double>(lowest));
   bool const right = tracked == frames && recording.size() == frames &&
-                     std::abs(pose.T_world_camera.t.x - moved) < 0.1 * moved;
+                     std::abs(pose.T_world_camera.t.x - moved) < 0.1 * moved && lowest > 0 &&
+                     lowest < height * 0.75f + 1;
   return right ? 0 : 1;
 } catch (std::exception const& e) {
   std::printf("%s\n", e.what());

@@ -12,6 +12,7 @@ from ._ft import (
 from .features import ImageFeatures, Keypoints, OrbExtractor, StereoMatcher, StereoMatches
 from .odometry import Odometry
 from .rectification import Rectifier
+from .results import ClosedLoops, Map, PlacedKeyframes, TrackedKeypoints
 from .rigs import (
     CalibrationWarning, DistortedPair, FisheyePair, Imu, MonocularCamera, MultiRig, RectifiedPair, RgbdCamera, RigCamera,
     check_calibration,
@@ -20,9 +21,9 @@ from .sequences import Frame, Sequence, Trajectory, evaluate, read_sequence, rea
 from .streams import Stream
 
 __all__ = [
-    "CalibrationWarning", "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame",
-    "ImageFeatures", "Imu", "KannalaBrandt", "Keypoints", "MapSnapshot", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole",
-    "PlaceRecognition", "RadTan", "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher",
-    "StereoMatches", "Stream", "Tracking", "Trajectory", "Unified", "__version__", "check_calibration", "devices",
+    "CalibrationWarning", "ClosedLoops", "DistortedPair", "DoubleSphere", "ExtendedUnified", "FieldOfView", "FisheyePair", "Frame",
+    "ImageFeatures", "Imu", "KannalaBrandt", "Keypoints", "Map", "MapSnapshot", "MonocularCamera", "MultiRig", "Odometry", "OrbExtractor", "Pinhole",
+    "PlaceRecognition", "PlacedKeyframes", "RadTan", "RectifiedPair", "Rectifier", "RgbdCamera", "RigCamera", "Sequence", "StereoMatcher",
+    "StereoMatches", "Stream", "TrackedKeypoints", "Tracking", "Trajectory", "Unified", "__version__", "check_calibration", "devices",
     "evaluate", "read_sequence", "read_tum",
 ]

@@ -5,55 +5,16 @@ from __future__ import annotations
 
 import os
 import warnings
-from typing import Optional, Sequence, TypedDict, Union, cast, overload
+from typing import Any, Optional, Sequence, Union, cast, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from . import _ft
 from .features import ImageFeatures, _frames, _options
+from .results import ClosedLoops, Map, PlacedKeyframes, TrackedKeypoints
 from .rigs import Imu, MultiRig, Rig, _matrix, _two, check_calibration
 from .streams import Array, StreamLike, handle_of
-
-
-class TrackedKeypoints(TypedDict):
-    """See Odometry.keypoints."""
-
-    x: NDArray[np.float32]
-    y: NDArray[np.float32]
-    camera: NDArray[np.int32]
-    octave: NDArray[np.int32]
-    depth: NDArray[np.float32]
-    point: NDArray[np.int32]
-    matched: NDArray[np.bool_]
-
-
-class Map(TypedDict):
-    """See Odometry.map."""
-
-    position: NDArray[np.float32]
-    normal: NDArray[np.float32]
-    number: NDArray[np.int32]
-    keyframes_that_see_it: NDArray[np.int32]
-    keyframe_time_ns: NDArray[np.int64]
-    keyframe_T_world_camera: NDArray[np.float64]
-
-
-class PlacedKeyframes(TypedDict):
-    """See Odometry.placed_keyframes."""
-
-    time_ns: NDArray[np.int64]
-    map: NDArray[np.int32]
-    T_odom_camera: NDArray[np.float64]
-    T_world_camera: NDArray[np.float64]
-    scale: NDArray[np.float64]
-    loaded: NDArray[np.bool_]
-
-
-# "from" is a word of the language
-ClosedLoops = TypedDict("ClosedLoops", {
-    "from": NDArray[np.int32], "to": NDArray[np.int32], "from_time_ns": NDArray[np.int64], "to_time_ns": NDArray[np.int64],
-    "T_from_to": NDArray[np.float64], "scale": NDArray[np.float64], "inliers": NDArray[np.int32]})
 
 
 class Odometry:
@@ -227,29 +188,20 @@ class Odometry:
                 self._masked.discard(place)
 
     def keypoints(self, b: int = 0) -> TrackedKeypoints:
-        """Keypoints of the last frame, those of the left images, columns of n: x, y (pixels), camera (0, or its number in a
-        MultiRig), octave, depth (metres, -1 = none), point (slot of the map point held, -1 = none), matched (to a point
-        from before this frame)."""
-        return cast(TrackedKeypoints, self._pipeline.keypoints(b))
+        """Those of the last frame."""
+        return TrackedKeypoints(**cast("dict[str, Any]", self._pipeline.keypoints(b)))
 
     def map(self, b: int = 0) -> Map:
-        """The map, n points and k keyframes: position (n, 3) in the world, metres if `Tracking.metric`, normal (n, 3), the
-        mean viewing direction, number (n), keyframes_that_see_it (n); keyframe_time_ns (k), keyframe_T_world_camera
-        (k, 4, 4)."""
-        return cast(Map, self._pipeline.map(b))
+        """The points and the keyframes of the map."""
+        return Map(**cast("dict[str, Any]", self._pipeline.map(b)))
 
     def placed_keyframes(self, b: int = 0) -> PlacedKeyframes:
-        """The keyframes as loops have corrected them, oldest first: time_ns (n), map (n) their map's number, which is that
-        of the first of maps that loops have joined, T_odom_camera (n, 4, 4) as they were tracked, T_world_camera
-        (n, 4, 4) as they are known now, scale (n) of the odometry's unit in the world's, 1 but with a MonocularCamera
-        without an IMU, loaded (n) whether it came with load_map(). Empty without loops."""
-        return cast(PlacedKeyframes, self._pipeline.placed_keyframes(b))
+        """The keyframes as loops have corrected them. Empty without loops."""
+        return PlacedKeyframes(**cast("dict[str, Any]", self._pipeline.placed_keyframes(b)))
 
     def closed_loops(self, b: int = 0) -> ClosedLoops:
-        """The loops between placed_keyframes(), in the order in which they were closed: from and to (n), indices of the
-        keyframe that was recognised and of the later one, from_time_ns and to_time_ns (n), T_from_to (n, 4, 4) as it was
-        measured, scale (n) of `to`'s unit in `from`'s, inliers (n), the matches that agree. Empty without loops."""
-        return cast(ClosedLoops, self._pipeline.closed_loops(b))
+        """The loops between placed_keyframes(). Empty without loops."""
+        return ClosedLoops(**cast("dict[str, Any]", self._pipeline.closed_loops(b)))
 
     def stage_times_us(self) -> dict[str, float]:
         """Microseconds that each stage added to the last frame, by name, in order. Raises ValueError without

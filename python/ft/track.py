@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 import warnings
-from typing import TYPE_CHECKING, Any, Mapping, Optional, cast
+from typing import TYPE_CHECKING, Any, Mapping, Optional
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ import ft
 
 from . import _ft
 from .map_files import load_map, require_writable, save_map
-from .odometry import PlacedKeyframes, TrackedKeypoints
+from .results import PlacedKeyframes, TrackedKeypoints
 from .sequences import Settings
 
 if TYPE_CHECKING:
@@ -210,9 +210,7 @@ class Run:
 
     def _seen(self) -> TrackedKeypoints:
         """Keypoints of the left camera, which is the first one of a rig."""
-        k = self._odometry.keypoints()
-        left = k["camera"] == 0
-        return cast(TrackedKeypoints, {name: column[left] for name, column in cast("dict[str, NDArray[Any]]", k).items()})
+        return self._odometry.keypoints().of_camera(0)
 
     def _look(self, i: int, image: NDArray[np.uint8], pose: ft.Tracking, tracked: bool) -> None:
         """Keeps points that a keyframe begins, and frames for the report."""
@@ -221,12 +219,12 @@ class Run:
         if not begins and not sample and i + 1 not in self._samples_due:
             return
         k = self._seen()
-        at = np.stack([k["x"], k["y"]], axis=1)
+        at = np.stack([k.x, k.y], axis=1)
         if begins:
-            new = (k["point"] >= 0) & ~k["matched"] & (k["depth"] > 0)
+            new = (k.point >= 0) & ~k.matched & (k.depth > 0)
             rays, valid = self._camera.unproject(at[new].astype(np.float64))
             valid &= rays[:, 2] > 0
-            points = k["depth"][new][valid, None] * rays[valid] / rays[valid, 2:]
+            points = k.depth[new][valid, None] * rays[valid] / rays[valid, 2:]
             T = pose.T_world_camera
             added = (points @ T[:3, :3].T + T[:3, 3])[::self._cloud_step].astype(np.float32)
             self._cloud = np.concatenate([self._cloud, added])
@@ -236,13 +234,13 @@ class Run:
             last, seen = self._before
             drawn = []
             for n, (x, y) in enumerate(at.tolist()):
-                point = int(k["point"][n])
-                from_x, from_y = seen.get(point, (-1, -1)) if last == i - 1 and k["matched"][n] else (-1, -1)
-                octave = int(k["octave"][n])
+                point = int(k.point[n])
+                from_x, from_y = seen.get(point, (-1, -1)) if last == i - 1 and k.matched[n] else (-1, -1)
+                octave = int(k.octave[n])
                 size = 31.0 * self._odometry.scale_factor ** octave
-                drawn.append((x, y, size, octave, float(k["depth"][n]), bool(k["matched"][n]), from_x, from_y))
+                drawn.append((x, y, size, octave, float(k.depth[n]), bool(k.matched[n]), from_x, from_y))
             self.samples.append((i, image, drawn))
-        self._before = i, {int(p): (x, y) for p, (x, y) in zip(k["point"], at.tolist()) if p >= 0}
+        self._before = i, {int(p): (x, y) for p, (x, y) in zip(k.point, at.tolist()) if p >= 0}
 
     def _show(self, viewer: Viewer, i: int, frame: ft.Frame, pose: ft.Tracking, tracked: bool,
               milliseconds: Mapping[str, float]) -> None:
@@ -263,23 +261,23 @@ class Run:
         """Each pose moves with the last keyframe that is not after it."""
         placed = self._odometry.placed_keyframes()
         # Those of a loaded map are before all poses, whatever their times.
-        placed["time_ns"][placed["loaded"]] = np.iinfo(np.int64).min
-        last = np.searchsorted(placed["time_ns"], [t for t, _ in self.poses], "right") - 1
-        inverse = np.linalg.inv(placed["T_odom_camera"])
+        times = np.where(placed.loaded, np.iinfo(np.int64).min, placed.time_ns)
+        last = np.searchsorted(times, [t for t, _ in self.poses], "right") - 1
+        inverse = np.linalg.inv(placed.T_odom_camera)
 
         def moved(T: NDArray[np.float64], k: int) -> NDArray[np.float64]:
             step = inverse[k] @ T
-            step[:3, 3] *= placed["scale"][k]
-            moved_pose: NDArray[np.float64] = placed["T_world_camera"][k] @ step
+            step[:3, 3] *= placed.scale[k]
+            moved_pose: NDArray[np.float64] = placed.T_world_camera[k] @ step
             return moved_pose
 
         return [(t, moved(T, k) if k >= 0 else T) for (t, _), T, k in zip(self.poses, self._odom_poses, last)]
 
     def _edges(self, placed: PlacedKeyframes) -> list[tuple[object, ...]]:
         """The loops, as write_run() takes them."""
-        closed, T = self._odometry.closed_loops(), placed["T_world_camera"]
-        return [(int(placed["time_ns"][a]), T[a], int(placed["time_ns"][b]), T[b], inliers, bool(placed["loaded"][a]))
-                for a, b, inliers in zip(closed["from"], closed["to"], closed["inliers"].tolist())]
+        closed, T = self._odometry.closed_loops(), placed.T_world_camera
+        return [(int(placed.time_ns[a]), T[a], int(placed.time_ns[b]), T[b], inliers, bool(placed.loaded[a]))
+                for a, b, inliers in zip(closed.from_keyframe, closed.to_keyframe, closed.inliers.tolist())]
 
     def write(self, settings: Settings) -> None:
         """The files that track_sequence writes. Prints its summary."""
@@ -297,7 +295,7 @@ class Run:
         placed = self._odometry.placed_keyframes()
         loops = {"closed": sum(closed), "corrections": sum(n > 0 for n in closed),
                  "edges": self._edges(placed),
-                 "maps": len(np.unique(placed["map"][~placed["loaded"]])),
+                 "maps": len(np.unique(placed.map[~placed.loaded])),
                  "online_time_ns": online.time_ns, "online": online.poses, "tracked": ft.Trajectory.of(tracked).poses} if a.loops else None
         sys.stdout.flush()
         _ft.write_run(sequence.files, a.out, a.frame, a.poses, {
@@ -310,15 +308,15 @@ class Run:
             "stages": [*stages, "total"],
             "records": [(i, t, tracked, [*(ms.get(name, 0.0) for name in stages), total], pose)
                         for i, t, tracked, ms, total, pose in self.records],
-            "keyframes": last.keyframes if last else 0, "map_points": len(made["position"]),
+            "keyframes": last.keyframes if last else 0, "map_points": len(made.position),
             "maps": last.maps if last else 0, "one_camera": rig == "monocular", "depth_images": rig == "rgbd",
             "with_imu": sequence.imu is not None, "calibration": self._calibration,
             "warnings": sequence.warnings,
             "loops": loops, "loaded_map": (a.load_map, self._found_after) if a.load_map else None,
             "metric": self.metric, "time_ns": trajectory.time_ns, "poses": trajectory.poses, "samples": self.samples,
             "cloud": self._cloud.tolist(), "stopped_at": self.stopped_at, "stopped_by": self.stopped_by, "wall_s": self.wall_s,
-            "map_position": (scale * made["position"] @ T[:3, :3].T + T[:3, 3]).tolist(),
-            "map_normal": (made["normal"] @ T[:3, :3].T).tolist(),
+            "map_position": (scale * made.position @ T[:3, :3].T + T[:3, 3]).tolist(),
+            "map_normal": (made.normal @ T[:3, :3].T).tolist(),
         })
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _ft
-from .odometry import ClosedLoops, Map, PlacedKeyframes, TrackedKeypoints
+from .results import ClosedLoops, Map, PlacedKeyframes, TrackedKeypoints
 from .rigs import Camera
 from .sequences import Trajectory, evaluate
 
@@ -46,9 +46,9 @@ class Corrected:
     @classmethod
     def of(cls, placed: PlacedKeyframes, closed: ClosedLoops) -> Corrected:
         """A piece is of one map and one run."""
-        places = placed["T_world_camera"][:, :3, 3]
-        cuts = np.flatnonzero((np.diff(placed["map"]) != 0) | np.diff(placed["loaded"])) + 1
-        return cls(np.split(places, cuts), np.stack([places[closed["from"]], places[closed["to"]]], axis=1))
+        places = placed.T_world_camera[:, :3, 3]
+        cuts = np.flatnonzero((np.diff(placed.map) != 0) | np.diff(placed.loaded)) + 1
+        return cls(np.split(places, cuts), np.stack([places[closed.from_keyframe], places[closed.to_keyframe]], axis=1))
 
 
 @dataclass
@@ -163,28 +163,28 @@ class Viewer:
         else:
             rerun.log(left, rerun.Image(seen.image).compress(jpeg_quality=80))
         k = seen.keypoints
-        at = np.stack([k["x"], k["y"]], axis=1).astype(np.float32)
-        matched, depth = np.asarray(k["matched"], dtype=bool), np.asarray(k["depth"], dtype=np.float32)
+        at = np.stack([k.x, k.y], axis=1).astype(np.float32)
+        matched, depth = np.asarray(k.matched, dtype=bool), np.asarray(k.depth, dtype=np.float32)
         colours = np.where(matched[:, None], GREEN, ORANGE).astype(np.uint8)
         rerun.log(left + "/keypoints", rerun.Points2D(at, colors=colours, radii=1.5))
         rerun.log(left + "/depth", rerun.Points2D(at[depth > 0], colors=depth_colours(depth[depth > 0]), radii=3))
-        now = {int(p): at[i] for i, p in enumerate(k["point"]) if p >= 0}
+        now = {int(p): at[i] for i, p in enumerate(k.point) if p >= 0}
         pairs = [(self._before[p], now[p]) for p in now if p in self._before]
         rerun.log(left + "/matches", rerun.LineStrips2D(pairs, colors=GREEN))
         self._before = now
 
     def _in_camera(self, keypoints: TrackedKeypoints, chosen: NDArray[np.bool_]) -> Floats:
         """Keypoints with depth as points of the camera's frame, (n, 3)."""
-        pixels = np.stack([keypoints["x"], keypoints["y"]], axis=1).astype(np.float64)[chosen]
+        pixels = np.stack([keypoints.x, keypoints.y], axis=1).astype(np.float64)[chosen]
         rays, valid = self._camera.unproject(pixels)
         valid &= rays[:, 2] > 0
-        depth = np.asarray(keypoints["depth"], dtype=np.float64)[chosen][valid]
+        depth = np.asarray(keypoints.depth, dtype=np.float64)[chosen][valid]
         return depth[:, None] * rays[valid] / rays[valid, 2:]
 
     def _show_camera(self, seen: Seen) -> None:
         rerun, T = self._rerun, seen.T_world_camera
         rerun.log("world/camera", rerun.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
-        depth = np.asarray(seen.keypoints["depth"])
+        depth = np.asarray(seen.keypoints.depth)
         rerun.log("world/camera/depths", rerun.Points3D(self._in_camera(seen.keypoints, depth > 0), colors=ORANGE,
                                                         radii=0.01))
         if not seen.tracked:
@@ -202,13 +202,13 @@ class Viewer:
     def _show_map(self, seen: Seen, made: Optional[Map]) -> None:
         if made is None:
             k, T = seen.keypoints, seen.T_world_camera
-            new = (np.asarray(k["point"]) >= 0) & ~np.asarray(k["matched"], dtype=bool) & (np.asarray(k["depth"]) > 0)
+            new = (np.asarray(k.point) >= 0) & ~np.asarray(k.matched, dtype=bool) & (np.asarray(k.depth) > 0)
             self._points.append(self._in_camera(k, new) @ T[:3, :3].T + T[:3, 3])
             self._keyframes.append(T[:3, 3])
             points: NDArray[np.floating[Any]] = np.concatenate(self._points)
             keyframes = np.array(self._keyframes)
         else:
-            points, keyframes = made["position"], made["keyframe_T_world_camera"][:, :3, 3]
+            points, keyframes = made.position, made.keyframe_T_world_camera[:, :3, 3]
         rerun = self._rerun
         rerun.log("world/map", rerun.Points3D(points, colors=WHITE, radii=0.01))
         rerun.log("world/keyframes", rerun.Points3D(keyframes, colors=GREEN, radii=0.02))

@@ -342,8 +342,8 @@ public:
     }
     std::size_t const n = from.size();
     nb::dict d;
-    d["from"] = to_numpy(std::move(from));
-    d["to"] = to_numpy(std::move(to));
+    d["from_keyframe"] = to_numpy(std::move(from));
+    d["to_keyframe"] = to_numpy(std::move(to));
     d["from_time_ns"] = to_numpy(std::move(from_ns));
     d["to_time_ns"] = to_numpy(std::move(to_ns));
     d["T_from_to"] = to_numpy(std::move(measured), {n, 4, 4});

@@ -146,7 +146,7 @@ def test_results_outlive_what_made_them(walk):
     odometry = walk.odometry()
     pose = follow(odometry, walk, 3)[-1]
     T, covariance = pose.T_world_camera, pose.covariance
-    points, keypoints = odometry.map()["position"], odometry.keypoints()["x"]
+    points, keypoints = odometry.map().position, odometry.keypoints().x
     copies = [a.copy() for a in (T, covariance, points, keypoints)]
     del odometry, pose
     follow(walk.odometry(), walk, 3)  # takes memory anew

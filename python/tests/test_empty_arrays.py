@@ -188,8 +188,8 @@ def test_an_image_without_keypoints(tmp_path):
     assert recognition.words() == {} and recognition.query() == []
     pair = odometry()
     assert not pair.track(IMAGE, IMAGE, 1).tracked
-    assert all(len(column) == 0 for column in pair.keypoints().values())
-    assert pair.map()["position"].shape == (0, 3) and pair.map()["keyframe_T_world_camera"].shape[1:] == (4, 4)
+    assert len(pair.keypoints()) == len(pair.keypoints().matched) == 0
+    assert pair.map().position.shape == (0, 3) and pair.map().keyframe_T_world_camera.shape[1:] == (4, 4)
 
 
 def test_colours_of_no_depths():

@@ -263,7 +263,7 @@ def test_masks_may_be_bool(walk):
         by_type.append(tracker.track(*walk.frame(0)) and tracker.keypoints())
     assert len(by_type[0]) > 20 and by_type[0].x.min() >= WIDTH // 2 - 4
     assert all(np.array_equal(k.x, by_type[0].x) for k in by_type[2::2])
-    assert all(np.array_equal(k["x"], by_type[1]["x"]) for k in by_type[3::2])
+    assert all(np.array_equal(k.x, by_type[1].x) for k in by_type[3::2])
     with pytest.raises(ValueError, match="uint8 and bool"):
         orb.set_mask(mask.astype(float))
     with pytest.raises(ValueError, match="mask"):
@@ -329,7 +329,7 @@ def test_limits_of_depths(walk):
     def depths(**limits):
         tracker = odometry(ft.RgbdCamera(CAMERA, depth_scale=0.001, **limits))
         tracker.track(walk.frame(0)[0], walk.depth(0), 1)
-        found = tracker.keypoints()["depth"]
+        found = tracker.keypoints().depth
         return found[found > 0]
     every = depths()
     assert every.min() < 1.3 and every.max() > 2.9

@@ -35,16 +35,16 @@ def test_loops_are_plugged_in(walk, device):
     plain = follow(walk.odometry(device=device), walk, 8)
     placed = odometry.placed_keyframes()
     n = sum(p.keyframe for p in poses)
-    assert n > 0 and placed["time_ns"].tolist() == [50_000_000 * i for i, p in enumerate(poses) if p.keyframe]
-    assert placed["T_odom_camera"].shape == placed["T_world_camera"].shape == (n, 4, 4)
-    assert placed["map"].tolist() == [1] * n and placed["scale"].tolist() == [1.0] * n
-    assert placed["loaded"].tolist() == [False] * n
+    assert n > 0 and placed.time_ns.tolist() == [50_000_000 * i for i, p in enumerate(poses) if p.keyframe]
+    assert placed.T_odom_camera.shape == placed.T_world_camera.shape == (n, 4, 4)
+    assert placed.map.tolist() == [1] * n and placed.scale.tolist() == [1.0] * n
+    assert placed.loaded.tolist() == [False] * n
     closed = odometry.closed_loops()
-    assert closed["T_from_to"].shape == (0, 4, 4) and all(len(column) == 0 for column in closed.values())
+    assert closed.T_from_to.shape == (0, 4, 4) and len(closed) == 0
     for p, q in zip(poses, plain):  # a straight line has no loop
         assert p.loops_closed == 0 and np.array_equal(p.T_world_odom, np.eye(4)) and p.odom_scale == 1
         assert np.array_equal(p.T_odom_camera, q.T_world_camera) and np.array_equal(p.T_world_camera, q.T_world_camera)
-    assert len(walk.odometry().placed_keyframes()["time_ns"]) == 0
+    assert len(walk.odometry().placed_keyframes()) == 0
     with pytest.raises(ValueError, match="batch"):
         walk.odometry(batch=2, loops=True)
 
@@ -93,8 +93,8 @@ def test_a_map_goes_out_and_in(walk):
     follow(first, walk, 6)
     saved = first.save_map()
     points = first.map()
-    assert points["position"].shape == (len(points["number"]), 3)
-    z = points["position"][:, 2]
+    assert points.position.shape == (len(points.number), 3)
+    z = points.position[:, 2]
     assert np.mean((abs(z - NEAR) < 0.1) | (abs(z - FAR) < 0.3)) > 0.9
     second = walk.odometry()
     second.load_map(saved)
@@ -118,6 +118,23 @@ def test_a_snapshot_is_written_while_tracking_goes_on(walk):
     assert odometry.save_map() != saved
     del odometry
     assert snapshot.tobytes() == saved
+
+
+def test_columns_are_those_of_the_docstrings(walk):
+    """Each field with its type, as "name: (n) int32" and "a, b: (n) float32"; none can be set."""
+    odometry = walk.odometry(loops=True)
+    follow(odometry, walk, 6)
+    for found in (odometry.keypoints(), odometry.map(), odometry.placed_keyframes(), odometry.closed_loops()):
+        told = " ".join(type(found).__doc__.split())
+        for field in dataclasses.fields(found):
+            column = getattr(found, field.name)
+            kind = "bool" if column.dtype == bool else column.dtype.name
+            assert re.search(rf"\b{field.name}\b[^.]*", told), field.name
+            assert kind in str(field.type).replace("bool_", "bool"), (field.name, kind, field.type)
+            with pytest.raises(dataclasses.FrozenInstanceError):
+                setattr(found, field.name, column)
+    k = odometry.keypoints()
+    assert len(k.of_camera(0)) == len(k) and len(k.of_camera(1)) == 0
 
 
 def test_maps_that_do_not_fit_change_nothing(walk):
@@ -159,8 +176,8 @@ def test_keypoints_hold_points(walk):
     odometry = walk.odometry()
     follow(odometry, walk, 3)
     k = odometry.keypoints()
-    assert len(k["x"]) == len(k["matched"]) and k["matched"].sum() > 50
-    assert np.all(k["point"][k["matched"]] >= 0)
+    assert len(k) == len(k.matched) and k.matched.sum() > 50
+    assert np.all(k.point[k.matched] >= 0)
     with pytest.raises(ValueError):
         odometry.keypoints(1)
 

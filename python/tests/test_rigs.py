@@ -35,12 +35,12 @@ def test_two_pairs_have_one_pose(walk, device):
         pose = odometry.track(*images_of(walk, i), 50_000_000 * i)
         assert pose.tracked and pose.metric and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
     keypoints = odometry.keypoints()
-    assert pose.keypoints == len(keypoints["x"])
+    assert pose.keypoints == len(keypoints.x)
     for camera in (0, 1):
-        of_camera = keypoints["camera"] == camera
-        assert np.sum(keypoints["matched"] & of_camera) > 50
-        assert np.sum(keypoints["depth"][of_camera] > 0) > 50
-    assert set(keypoints["camera"]) == {0, 1}
+        of_camera = keypoints.camera == camera
+        assert np.sum(keypoints.matched & of_camera) > 50
+        assert np.sum(keypoints.depth[of_camera] > 0) > 50
+    assert set(keypoints.camera) == {0, 1}
 
 
 def test_a_second_pair_carries_on_alone(walk):
@@ -69,7 +69,7 @@ def test_a_depth_camera_beside_a_single_one(walk, device, metres):
         depth = (depth / 1000).astype(np.float32) if metres else depth
         pose = odometry.track(*walk.images_at(i, ASIDE, pair=False), grey, depth, 50_000_000 * i)
         assert pose.tracked and pose.metric and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
-    assert np.sum(odometry.keypoints()["matched"] & (odometry.keypoints()["camera"] == 0)) > 50
+    assert np.sum(odometry.keypoints().matched & (odometry.keypoints().camera == 0)) > 50
 
 
 def test_depth_images_of_a_rig_are_checked(walk):
@@ -104,8 +104,8 @@ def test_a_single_camera_finds_the_points_of_a_pair(walk):
         pose = odometry.track(*images, 50_000_000 * i)
         assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
     keypoints = odometry.keypoints()
-    single = keypoints["camera"] == 0
-    assert np.all(keypoints["depth"][single] < 0) and np.sum(keypoints["matched"] & single) > 30
+    single = keypoints.camera == 0
+    assert np.all(keypoints.depth[single] < 0) and np.sum(keypoints.matched & single) > 30
 
 
 def test_a_pair_of_two_cameras_of_different_models(walk):
@@ -137,7 +137,7 @@ def test_five_cameras_and_batches(walk):
         want = alone.track(*a, t)
         assert got[0].inliers == want.inliers and np.array_equal(got[0].T_world_camera, want.T_world_camera)
         assert got[1].tracked and np.allclose(want.T_world_camera[:2, 3], walk.position(i), atol=0.01)
-    assert max(alone.keypoints()["camera"]) == 4
+    assert max(alone.keypoints().camera) == 4
 
 
 def scale_and_error(positions, truth):
@@ -165,11 +165,11 @@ def test_one_camera_makes_a_map_from_its_motion(walk, device, camera):
     # A narrow image that moves sideways says little about turns, on which the share rests.
     scale, error = scale_and_error(positions, truth)
     assert error < 0.15
-    depths = scale * odometry.map()["position"][:, 2]
+    depths = scale * odometry.map().position[:, 2]
     near, far = depths[depths < 2], depths[depths > 2]
     assert len(near) > 50 and len(far) > 50 and abs(np.median(far) / np.median(near) / (FAR / NEAR) - 1) < 0.05
     assert np.mean(abs(near / np.median(near) - 1) < 0.1) > 0.9 and np.mean(abs(far / np.median(far) - 1) < 0.1) > 0.9
-    assert np.all(odometry.keypoints()["depth"] < 0)
+    assert np.all(odometry.keypoints().depth < 0)
 
 
 def test_single_cameras_in_a_batch_track_as_alone(walk):
@@ -305,7 +305,7 @@ def test_a_recording_of_a_mixed_rig_is_tracked(walk, tmp_path):
         odometry.track(None, None, None, frame.time_ns + 1)
     with pytest.raises(ValueError, match="must be"):  # a pair has both
         odometry_of(ft.RectifiedPair(CAMERA, BASELINE)).track(frame.images[0], None, 1)
-    assert {0, 2} <= set(odometry.keypoints()["camera"])
+    assert {0, 2} <= set(odometry.keypoints().camera)
 
 
 def test_a_recording_with_a_depth_camera_is_tracked(walk, tmp_path):
@@ -341,11 +341,11 @@ def test_a_recording_with_a_depth_camera_is_tracked(walk, tmp_path):
         lacking = odometry_of(sequence.rig).track(grey, None, grey, 0)
         assert lacking.missing_depths == [0] and lacking.missing_images == [] and lacking.reason == "images_missing"
         assert "depth image of camera 0" in lacking.explanation
-        assert odometry.keypoints()["depth"].max() == pytest.approx(FAR, rel=0.01)
+        assert odometry.keypoints().depth.max() == pytest.approx(FAR, rel=0.01)
         near = ft.read_sequence(tmp_path, rig="mixed", depth_unit=0.001, max_depth=2.5)
         odometry = odometry_of(near.rig)
         odometry.track(*near[0].images, 0)
-    assert near.rig.max_depth == 2.5 and odometry.keypoints()["depth"].max() == pytest.approx(NEAR, rel=0.01)
+    assert near.rig.max_depth == 2.5 and odometry.keypoints().depth.max() == pytest.approx(NEAR, rel=0.01)
 
 
 def test_masks_of_a_recording_hold_for_their_frames(walk, tmp_path):
@@ -375,6 +375,6 @@ def test_masks_of_a_recording_hold_for_their_frames(walk, tmp_path):
         odometry.set_masks(frame.masks if i < 3 else (None, None))
         assert odometry.track(*frame.images, frame.time_ns).tracked
         seen = odometry.keypoints()
-        assert (seen["x"].max() < WIDTH / 2 + 6) == (i < 3)
+        assert (seen.x.max() < WIDTH / 2 + 6) == (i < 3)
     with pytest.raises(RuntimeError, match="3 masks, for 2 cameras"):
         ft.read_sequence(tmp_path, masks=[tmp_path / "half.png"] * 3)

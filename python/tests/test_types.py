@@ -20,7 +20,7 @@ for frame in sequence:
     tracking = odometry.track(*frame.images, time_ns=frame.time_ns)
     if tracking.tracked:
         poses.append((frame.time_ns, tracking.T_world_camera))
-depth = odometry.keypoints()["depth"]
+depth = odometry.keypoints().depth
 print(float(depth.max()), tracking.warnings.get("two_motions", "").upper(), ft.evaluate(poses, sequence.ground_truth)["pairs"])
 grey = np.zeros((480, 640), np.uint8)
 found = ft.OrbExtractor(640, 480).extract(grey)
@@ -38,7 +38,7 @@ MISTAKES = [  # in place of what, and what mypy says
     ("tracking.T_world_camera", "tracking.T_camera_world", "attr-defined"),
     ("imu=sequence.imu,", "imu=True,", "arg-type"),
     ("640, 480).extract(grey)", '640, "480").extract(grey)', "arg-type"),
-    ('keypoints()["depth"]', 'keypoints()["depths"]', "typeddict-item"),
+    ("keypoints().depth", "keypoints().depths", "attr-defined"),
     ("sequence.ground_truth)[\"pairs\"]", "sequence.ground_truth).pairs", "attr-defined"),
     ("track_features(mine, time_ns=1).state", "track_features(mine, time_ns=1)[0].state", "index"),
     ("640, 480, batch=2", "640, 480, batches=2", "call-arg"),

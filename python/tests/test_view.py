@@ -120,8 +120,8 @@ def test_the_program_track_sequence_writes_such_a_recording(walk_folder, tmp_pat
     assert len(read.truth) == FRAMES and read.header["camera"] == list(CAMERA)
     poses = ft.read_tum(tmp_path / "out/trajectory.txt").poses
     assert np.allclose([f.T_world_camera for f in frames], poses, atol=1e-6)
-    assert frames[0].keyframe and not frames[0].keypoints["matched"].any()
-    assert frames[-1].keypoints["matched"].sum() > 50 and frames[-1].milliseconds["stereo"] > 0
+    assert frames[0].keyframe and not frames[0].keypoints.matched.any()
+    assert frames[-1].keypoints.matched.sum() > 50 and frames[-1].milliseconds["stereo"] > 0
 
 
 # ---- what a run and a recording say

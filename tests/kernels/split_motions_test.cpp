@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
 #include <vector>
 
@@ -45,12 +46,15 @@ auto const& model_of(Rig const& rig, int c) {
 struct scene {
   int rest = 350;
   int thing = 250;
-  int free = 200;          ///< keypoints without a point
-  double moved = 0.06;     ///< metres, the thing to the left
-  int common = 400;        ///< errors that neighbours shared in the last frame, 1 / 1024
-  float noise = 0.3f;      ///< pixels
-  bool lately = false;     ///< there were two motions half a second ago
-  float wrong_by = 0.03f;  ///< metres, the pose before
+  int free = 200;            ///< keypoints without a point
+  double moved = 0.06;       ///< metres, the thing to the left
+  int common = 400;          ///< errors that neighbours shared in the last frame, 1 / 1024
+  float noise = 0.3f;        ///< pixels
+  bool lately = false;       ///< there were two motions half a second ago
+  std::uint64_t places = 0;  ///< parts of the image where the other one was then
+  int seen_by = -1;          ///< whose image; -1 = the camera's
+  double left_out = 0;       ///< share of the rest's matches that the pose before left out
+  float wrong_by = 0.03f;    ///< metres, the pose before
   unsigned seed = 1;
 };
 
@@ -100,6 +104,17 @@ struct room {
     return std::sqrt(double{t.x} * t.x + double{t.y} * t.y + double{t.z} * t.z);
   }
   bool holds(int k) const { return data.host.holder[camera * capacity + k] >= 0; }
+  /// Keypoints without a point in the parts of the image that the thing fills.
+  int free_where_filled(scene const& s) const {
+    int n = 0;
+    auto const keypoints = data.host.keypoints.slice(camera * (Rig::images / Rig::cameras));
+    for (int k = s.rest + s.thing; k < s.rest + s.thing + s.free; ++k) {
+      bool const is =
+          std::abs(keypoints.x(k) - width / 2) < 160 && std::abs(keypoints.y(k) - height / 2) < 80;
+      n += static_cast<int>(is);
+    }
+    return n;
+  }
   bool has_depth(int k) const { return data.host.depth[camera * capacity + k] > 0; }
 
 private:
@@ -137,6 +152,10 @@ private:
         v.observations.number[n] = camera * capacity + n;
         v.observations.outlier[n] = 0;
         v.holder[camera * capacity + n] = 7 * n;
+        if (!thing && n < s.left_out * s.rest) {
+          v.observations.outlier[n] = 1;
+          v.holder[camera * capacity + n] = -1;
+        }
       }
       ++n;
     }
@@ -152,6 +171,8 @@ private:
     t.facts.apart = 33;
     t.apart = s.lately ? 1 : 0;
     t.apart_ns = t.time_ns - 500000000;
+    t.apart_blocks = s.places;
+    t.apart_camera = s.seen_by < 0 ? camera : s.seen_by;
     v.state.tracks[0] = t;
   }
 };
@@ -226,6 +247,83 @@ TYPED_TEST(SplitMotions, OneMotionIsLeftAsItIs) {
     EXPECT_EQ(r.data.host.T_cw[0].t.x, s.wrong_by);
     EXPECT_EQ(r.data.host.observations.inliers[0], s.rest + s.thing);
   }
+}
+
+/// Parts of the image, of 8 x 6: those that the thing is in, and those that it fills.
+constexpr std::uint64_t middle = std::uint64_t{0x3c3c3c3c} << 8;
+constexpr std::uint64_t filled = std::uint64_t{0x3c3c} << 16;
+
+TYPED_TEST(SplitMotions, WhereTheOtherMotionIsIsKept) {
+  TypeParam backend;
+  scene s;
+  s.seen_by = 0;
+  room<typename TypeParam::exec_type, test::three_camera_rig> const r(backend.exec, s, 2);
+  EXPECT_EQ(r.track().apart_camera, 2);
+  EXPECT_EQ(r.track().apart_blocks & ~middle, 0u);
+  EXPECT_EQ(r.track().apart_blocks & filled, filled);
+}
+
+// The last pose followed the thing, and the rest's points are held no more.
+TYPED_TEST(SplitMotions, AMotionThatWasLeftOutIsToldButNotTaken) {
+  TypeParam backend;
+  using room_type = room<typename TypeParam::exec_type, ft::rectified_rig>;
+  scene s;
+  s.left_out = 0.6;
+  room_type const r(backend.exec, s);
+  EXPECT_EQ(r.data.host.T_cw[0].t.x, s.wrong_by);
+  EXPECT_EQ(r.data.host.observations.inliers[0], s.rest + s.thing);
+  EXPECT_EQ(r.data.host.information[0], 0.0f);
+  EXPECT_GE(r.track().facts.apart, 200);
+  EXPECT_EQ(r.track().apart_ns, r.track().time_ns);
+  for (int k = 0; k < s.rest + s.thing + s.free; ++k) {
+    bool const was = k >= s.left_out * s.rest && k < s.rest + s.thing;
+    EXPECT_EQ(r.holds(k), was);
+    EXPECT_TRUE(r.has_depth(k));
+  }
+  s.left_out = 0.4;
+  room_type const most(backend.exec, s);
+  EXPECT_LT(most.off(), 0.004);
+  EXPECT_LT(most.data.host.observations.inliers[0], s.rest + 10);
+}
+
+// Where a thing was half a second ago, keypoints have depths and hold no points.
+template <typename Rig, typename Exec>
+int told_of(Exec const& exec, scene const& s, int camera = 0) {
+  room<Exec, Rig> const r(exec, s, camera);
+  EXPECT_EQ(r.track().apart_ns == r.track().time_ns, r.track().facts.apart > 0);
+  EXPECT_EQ(r.data.host.T_cw[0].t.x, s.wrong_by);
+  if (r.track().facts.apart > 0) { EXPECT_EQ(r.track().facts.apart, r.free_where_filled(s)); }
+  return r.track().facts.apart;
+}
+TYPED_TEST(SplitMotions, AMotionGoesOnWhereMostHoldsNoPoint) {
+  TypeParam backend;
+  auto const& exec = backend.exec;
+  using pair = ft::rectified_rig;
+  scene s;
+  s.common = 0;
+  s.thing = 0;
+  s.free = 400;
+  s.lately = true;
+  s.places = filled;
+  EXPECT_GE(told_of<pair>(exec, s), 60);
+  EXPECT_GE(told_of<test::three_camera_rig>(exec, s, 2), 60);
+  s.seen_by = 1;
+  EXPECT_EQ(told_of<test::three_camera_rig>(exec, s, 2), 0);
+  s.seen_by = -1;
+  s.places = 0;
+  EXPECT_EQ(told_of<pair>(exec, s), 0);
+  s.places = filled;
+  s.free = 60;  // too few of them are there
+  EXPECT_EQ(told_of<pair>(exec, s), 0);
+  s.free = 400;
+  s.moved = 0;
+  s.thing = 20;
+  EXPECT_GE(told_of<pair>(exec, s), 60);
+  s.thing = 120;  // most hold points again
+  EXPECT_EQ(told_of<pair>(exec, s), 0);
+  s.thing = 0;
+  s.lately = false;
+  EXPECT_EQ(told_of<pair>(exec, s), 0);
 }
 
 TYPED_TEST(SplitMotions, BothExecutorsHaveTheSameBits) {

@@ -42,12 +42,15 @@ auto const& model_of(Rig const& rig, int c) {
   }
 }
 
-/// A frame before a room, and a thing in the middle of its image that has moved.
+/// A frame before a room, and a thing in the middle of its image that has moved. Depths in metres.
 struct scene {
   int rest = 350;
   int thing = 250;
-  int free = 200;            ///< keypoints without a point
-  double moved = 0.06;       ///< metres, the thing to the left
+  int free = 200;                           ///< keypoints without a point
+  double moved = 0.06;                      ///< metres, the thing to the left
+  double half_wide = 160, half_high = 120;  ///< pixels, of the thing
+  float near = 1.5f, far = 5;               ///< the rest
+  float depth = 2;                          ///< the thing
   int common = 400;          ///< errors that neighbours shared in the last frame, 1 / 1024
   float noise = 0.3f;        ///< pixels
   bool lately = false;       ///< there were two motions half a second ago
@@ -129,8 +132,8 @@ private:
     int n = 0;
     while (n < s.rest + s.thing + s.free) {
       ft::vec2<float> const pixel{random.real(20, width - 20), random.real(20, height - 20)};
-      bool const middle =
-          std::abs(pixel.x - width / 2) < 160 && std::abs(pixel.y - height / 2) < 120;
+      bool const middle = std::abs(pixel.x - width / 2) < s.half_wide &&
+                          std::abs(pixel.y - height / 2) < s.half_high;
       bool const free = n >= s.rest + s.thing;
       bool const thing = free ? middle : n >= s.rest;
       auto const ray = model_of(rig, camera).unproject(pixel).direction;
@@ -144,7 +147,8 @@ private:
       keypoints.y(n) = pixel.y + random.real(-s.noise, s.noise);
       if (!free) {
         float const depth =
-            (thing ? random.real(1.9f, 2.1f) : random.real(1.5f, 5)) / std::sqrt(ft::dot(ray, ray));
+            (thing ? s.depth * random.real(0.95f, 1.05f) : random.real(s.near, s.far)) /
+            std::sqrt(ft::dot(ray, ray));
         ft::vec3<float> point{ray.x * depth, ray.y * depth, ray.z * depth};
         if constexpr (Rig::rectified) { point = rig.to_body(camera, point); }
         if (thing) { point.x += static_cast<float>(s.moved); }
@@ -246,6 +250,35 @@ TYPED_TEST(SplitMotions, OneMotionIsLeftAsItIs) {
     EXPECT_EQ(r.track().apart, 0);
     EXPECT_EQ(r.data.host.T_cw[0].t.x, s.wrong_by);
     EXPECT_EQ(r.data.host.observations.inliers[0], s.rest + s.thing);
+  }
+}
+
+// What has more matches, in more parts of the image, is a thing if it hides the rest.
+TYPED_TEST(SplitMotions, TheSceneIsWhatIsBehind) {
+  TypeParam backend;
+  using exec_type = typename TypeParam::exec_type;
+  scene s;
+  s.rest = 220;
+  s.thing = 400;
+  s.half_wide = 250;
+  s.half_high = 180;
+  s.depth = 1.4f;
+  for (s.seed = 1; s.seed <= 4; ++s.seed) {
+    SCOPED_TRACE(s.seed);
+    scene hides = s;
+    hides.near = 2;
+    EXPECT_LT((room<exec_type, ft::rectified_rig>(backend.exec, hides).off()), 0.005);
+    EXPECT_LT((room<exec_type, test::fisheye_rig>(backend.exec, hides).off()), 0.005);
+    scene beside = s;  // at the same distance: spread over the image decides
+    beside.near = 1.33f;
+    beside.far = 1.47f;
+    EXPECT_NEAR((room<exec_type, ft::rectified_rig>(backend.exec, beside).off()), s.moved, 0.005);
+    scene hidden;  // in less parts of the image, through a gap
+    hidden.seed = s.seed;
+    hidden.depth = 5;
+    hidden.near = 1.2f;
+    hidden.far = 2;
+    EXPECT_NEAR((room<exec_type, ft::rectified_rig>(backend.exec, hidden).off()), s.moved, 0.008);
   }
 }
 

@@ -151,9 +151,9 @@ private:
     return best;
   }
 
-  /// Which motion is that of the camera: the one whose matches lie in more parts of the image. A
-  /// motion is one that has parts of the image for itself: matches that agree with nothing else are
-  /// scattered where they come from errors.
+  /// Which motion is that of the camera: the one that is behind the other, else the one whose
+  /// matches lie in more parts of the image. A motion is one that has parts of the image for
+  /// itself: matches that agree with nothing else are scattered where they come from errors.
   /// @param n matches @return -1: too few are where one motion leads and agree with it alone
   FT_HOST_DEVICE static int weigh(two_places const& places, int n) {
     int own[2] = {}, blocks[2] = {};
@@ -165,6 +165,8 @@ private:
       }
     }
     if (min_of(own[0], own[1]) < max_of(limit::least, n / 16)) { return -1; }
+    int const behind = places.behind();
+    if (behind >= 0) { return behind; }
     return blocks[1] > blocks[0] || (blocks[1] == blocks[0] && own[1] > own[0]) ? 1 : 0;
   }
 
@@ -239,9 +241,10 @@ private:
 
 /// Of frames that follow one whose errors neighbours shared, or that had two motions within a
 /// second: looks for two poses that many matches agree with each, and not with the other one. The
-/// frame keeps the one whose matches lie in more parts of the image. Where the other one was, it
-/// is told of until most of what has a depth holds points again. Asynchronous on `exec`;
-/// allocates nothing; one launch.
+/// frame keeps the one that is behind the other: things that move, and what is fixed to the camera,
+/// hide the scene. Where they do not meet it keeps the one whose matches lie in more parts of the
+/// image. Where the other one was, it is told of until most of what has a depth holds points
+/// again. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void split_motions(Exec const& exec, motions_of_frames<Rig> const& in,
                    odometry_state_view const& state, windowless_workspace const& work,

@@ -50,7 +50,9 @@ struct motion_limits {
 struct two_places {
   static constexpr int columns = 8, rows = 6;
   static constexpr int blocks = columns * rows;
+  static constexpr int one = 1024;  ///< of nearness
   int matches[2][blocks];
+  int nearness[2][blocks];  ///< sums of their inverse distances, in 1 / one of the map's unit
 
   FT_HOST_DEVICE static int block_of(float u, float v, int width, int height) {
     int const column = clamp(static_cast<int>(u) * columns / max_of(width, 1), 0, columns - 1);
@@ -60,6 +62,40 @@ struct two_places {
   /// Whether a set has most matches of a block.
   FT_HOST_DEVICE bool leads(int set, int block) const {
     return matches[set][block] > matches[1 - set][block];
+  }
+  /// Adds a match. Of several threads at once. @param distance from the camera
+  FT_HOST_DEVICE void add(int set, int block, strict_double distance) {
+    constexpr int most = 32 * one;
+    strict_double const inverse = strict_double(one) / distance;
+    bool const fits = inverse < strict_double(most);
+    atomic_add(&matches[set][block], 1);
+    atomic_add(&nearness[set][block], fits ? static_cast<int>(inverse.value) : most);
+  }
+  /// Which set is behind the other one: the other one's matches are nearer where both sets meet, in
+  /// three times as many places as the other way round, and in three at least. What moves before
+  /// the scene hides it. @return -1: neither is
+  FT_HOST_DEVICE int behind() const {
+    int places[2] = {};  // where a set is in front
+    for (int i = 0; i < blocks; ++i) {
+      bool const right = i % columns + 1 < columns, below = i + columns < blocks;
+      for (int k = 0; k < 2; ++k) {
+        places[k] += static_cast<int>(is_nearer(k, i, i));
+        places[k] += static_cast<int>(right && is_nearer(k, i, i + 1));
+        places[k] += static_cast<int>(right && is_nearer(k, i + 1, i));
+        places[k] += static_cast<int>(below && is_nearer(k, i, i + columns));
+        places[k] += static_cast<int>(below && is_nearer(k, i + columns, i));
+      }
+    }
+    int const front = places[1] > places[0] ? 1 : 0;
+    return places[front] >= max_of(3, 3 * places[1 - front]) ? 1 - front : -1;
+  }
+
+private:
+  /// Whether a set's matches of a part are nearer by an eighth than the other one's of another.
+  FT_HOST_DEVICE bool is_nearer(int set, int block, int other) const {
+    int const mine = matches[set][block], theirs = matches[1 - set][other];
+    return min_of(mine, theirs) >= 2 && 8 * std::int64_t{nearness[set][block]} * theirs >
+                                            9 * std::int64_t{nearness[1 - set][other]} * mine;
   }
 };
 
@@ -87,6 +123,13 @@ struct frame_observations {
     matches_of_camera const m{in.rig, Rig::rectified ? o.camera : camera, nullptr, 0};
     auto const T_cw = m.of_camera(T_bw.template cast<strict_double>());
     return m.error(T_cw.template cast<strict_float>(), o);
+  }
+  /// Distance of a match's point from the camera, in the map's unit.
+  FT_HOST_DEVICE strict_double distance(rigid<double> const& T_bw, observation const& o) const {
+    matches_of_camera const m{in.rig, Rig::rectified ? o.camera : camera, nullptr, 0};
+    auto const T_cw = m.of_camera(T_bw.template cast<strict_double>());
+    auto const p = T_cw * o.point.template cast<strict_double>();
+    return scalar::sqrt(dot(p, p));
   }
   /// Lists those of the camera that are wanted, in their order. @return their number
   template <typename Group, typename Wanted>
@@ -200,6 +243,7 @@ private:
   FT_HOST_DEVICE static void count_places(Group g, scratch& s, of_frame const& of) {
     for (int i = g.rank(); i < 2 * two_places::blocks; i += g.size()) {
       s.places.matches[i / two_places::blocks][i % two_places::blocks] = 0;
+      s.places.nearness[i / two_places::blocks][i % two_places::blocks] = 0;
     }
     g.sync();
     for (int i = g.rank(); i < of.count(); i += g.size()) {
@@ -208,9 +252,9 @@ private:
       int const e[2] = {of.error(s.T[0], o), of.error(s.T[1], o)};
       for (int k = 0; k < 2; ++k) {
         if (e[k] < 2 * limit::near && !(e[1 - k] < limit::distant)) {
-          atomic_add(&s.places.matches[k][two_places::block_of(o.u, o.v, of.in.geometry.width[0],
-                                                               of.in.geometry.height[0])],
-                     1);
+          int const block =
+              two_places::block_of(o.u, o.v, of.in.geometry.width[0], of.in.geometry.height[0]);
+          s.places.add(k, block, of.distance(s.T[k], o));
         }
       }
     }

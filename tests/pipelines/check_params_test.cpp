@@ -9,6 +9,13 @@
 #include <string>
 #include <type_traits>
 
+#include "ft/cameras/distorted_pair.hpp"
+#include "ft/cameras/mixed_rig.hpp"
+#include "ft/cameras/monocular_rig.hpp"
+#include "ft/cameras/multi_rig.hpp"
+#include "ft/cameras/rgbd_rig.hpp"
+#include "ft/cameras/stereo_rig.hpp"
+
 namespace check_params_test {
 
 template <typename Params>
@@ -207,6 +214,53 @@ TEST(check_params, names_every_number_that_cannot_be) {
   tracker.orb = p.orb;
   ASSERT_EQ(refusal(tracker), "");
   EXPECT_GT(refuse_each(tracker, tracker, ""), 15);
+}
+
+/// Read-out times are settings of rigs, whose check() names them.
+template <typename Rig>
+void expect_readout_is_checked(Rig rig) {
+  EXPECT_NO_THROW(rig.check());
+  auto& s = [&]() -> float& {
+    if constexpr (Rig::searches > 1) {
+      return rig.of[1].readout_s;
+    } else {
+      return rig.readout_s;
+    }
+  }();
+  for (float const good : {0.0f, 0.033f, 0.1f}) {
+    s = good;
+    EXPECT_NO_THROW(rig.check()) << good;
+  }
+  for (float const bad : {-1e-3f, 0.11f, std::numeric_limits<float>::quiet_NaN(),
+                          std::numeric_limits<float>::infinity()}) {
+    s = bad;
+    std::string said;
+    try {
+      rig.check();
+    } catch (ft::bad_argument const& e) { said = e.what(); }
+    EXPECT_EQ(said.rfind("ft: readout_s is ", 0), 0u) << said;
+    EXPECT_NE(said.find("must be in [0, 0.1]"), std::string::npos) << said;
+  }
+}
+
+TEST(check_params, names_readouts_that_cannot_be) {
+  using camera = ft::pinhole<float>;
+  camera const c{400, 400, 320, 240};
+  ft::pose T = ft::pose::identity();
+  T.t.x = -0.1f;
+  expect_readout_is_checked(ft::rectified_rig::make(c, 0.1));
+  expect_readout_is_checked(ft::stereo_rig<camera, camera>{c, c, T});
+  expect_readout_is_checked(ft::distorted_pair<camera>::make(c, c, T, c));
+  expect_readout_is_checked(ft::rgbd_rig<>::make(c, 0.1));
+  expect_readout_is_checked(ft::monocular_rig<>::make(c));
+  ft::multi_rig<2> multi{};
+  multi.of[0] = {c, 0.1};
+  multi.of[1] = {c, 0, T};
+  expect_readout_is_checked(multi);
+  ft::mixed_rig<2> mixed{};
+  mixed.of[0] = ft::mixed_rig_camera::rectified(c, 0.1, T);
+  mixed.of[1] = ft::mixed_rig_camera::single(ft::any_camera<float>::of(c), T);
+  expect_readout_is_checked(mixed);
 }
 
 TEST(check_params, refuses_periods_that_are_none) {

@@ -32,6 +32,9 @@ struct distorted_pair {
   rectified_rig target;
   int width = 0;  ///< of the images that come in, pixels; 0 = that of the rectified ones
   int height = 0;
+  /// Seconds from the first row's exposure to the last one's, up to 0.1; 0 = a global shutter. See
+  /// camera_description.
+  float readout_s = 0;
 
   /// Rectified cameras look in the mean direction of both, with x along the baseline. Source:
   /// Fusiello, Trucco and Verri, "A compact algorithm for rectification of stereo pairs", Machine
@@ -79,6 +82,7 @@ struct distorted_pair {
     detail::require_range("height of raw images", height, 0, 16384);
     detail::require((width == 0) == (height == 0),
                     "width and height of raw images are both 0 or both above it");
+    detail::require_range("readout_s", readout_s, 0.0f, 0.1f);
   }
 };
 

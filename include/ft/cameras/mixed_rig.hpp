@@ -32,6 +32,7 @@ struct mixed_rig_camera {
   float depth_scale = 0;  ///< as in rgbd_rig, and so are the next two
   float min_depth = 0;    ///< metres
   float max_depth = std::numeric_limits<float>::infinity();  ///< metres
+  float readout_s = 0;                                       ///< as in rig_camera
 
   /// A camera whose keypoints have no depth of their own.
   static mixed_rig_camera single(any_camera<float> const& camera, pose const& T_cb) {
@@ -97,6 +98,7 @@ struct mixed_rig_camera {
     detail::require_range("min_depth", min_depth, 0.0f, std::numeric_limits<float>::max());
     detail::require_range("max_depth", max_depth, min_depth,
                           std::numeric_limits<float>::infinity());
+    detail::require_range("readout_s", readout_s, 0.0f, 0.1f);
   }
   /// The distance of two cameras, metres.
   static double distance(mixed_rig_camera const& a, mixed_rig_camera const& b) {

@@ -24,6 +24,9 @@ struct monocular_rig {
   static constexpr int searches = 1;
   using camera_type = typename detail::camera_in_rig<Camera>::type;
   camera_type camera{};
+  /// Seconds from the first row's exposure to the last one's, up to 0.1; 0 = a global shutter. See
+  /// camera_description.
+  float readout_s = 0;
 
   /// @throws bad_argument as check()
   static monocular_rig make(Camera const& camera) {
@@ -54,8 +57,11 @@ struct monocular_rig {
   FT_HOST_DEVICE static mat3<Real> const& derivative_in_body(int, mat3<Real> const& in_camera) {
     return in_camera;
   }
-  /// @throws bad_argument for an invalid camera
-  void check() const { camera.check(); }
+  /// @throws bad_argument for an invalid camera or read-out time
+  void check() const {
+    camera.check();
+    detail::require_range("readout_s", readout_s, 0.0f, 0.1f);
+  }
 };
 
 /// Whether a rig is a monocular_rig.

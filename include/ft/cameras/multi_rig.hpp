@@ -41,6 +41,9 @@ struct rig_camera {
   double baseline = 0;           ///< to the right camera of the pair, metres; 0 = a single camera
   pose T_cb = pose::identity();  ///< body to (left) camera
   bool used = true;              ///< false: there is no such camera, see none()
+  /// Seconds from the first row's exposure to the last one's, up to 0.1; 0 = a global shutter. See
+  /// camera_description.
+  float readout_s = 0;
 
   /// No camera: it has no images and sees no point. Rigs of fewer than N cameras, whose number is
   /// known at run time, fill a multi_rig<N> with these; they take memory and hardly any time.
@@ -63,6 +66,7 @@ struct rig_camera {
       detail::require_range("baseline", static_cast<float>(baseline), 1e-6f, 1e6f);
     }
     detail::require_rigid(T_cb);
+    detail::require_range("readout_s", readout_s, 0.0f, 0.1f);
   }
 };
 

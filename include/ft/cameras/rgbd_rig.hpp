@@ -35,6 +35,9 @@ struct rgbd_rig {
   float depth_scale = 0;
   float min_depth = 0;                                       ///< metres; smaller depths are none
   float max_depth = std::numeric_limits<float>::infinity();  ///< metres; larger depths are none
+  /// Seconds from the first row's exposure to the last one's, up to 0.1; 0 = a global shutter. See
+  /// camera_description.
+  float readout_s = 0;
 
   /// @throws bad_argument as check()
   static rgbd_rig make(Camera const& camera, double baseline, float depth_scale = 0) {
@@ -58,6 +61,7 @@ struct rgbd_rig {
     detail::require_range("min_depth", min_depth, 0.0f, std::numeric_limits<float>::max());
     detail::require_range("max_depth", max_depth, min_depth,
                           std::numeric_limits<float>::infinity());
+    detail::require_range("readout_s", readout_s, 0.0f, 0.1f);
   }
 };
 

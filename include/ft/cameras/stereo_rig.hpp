@@ -53,6 +53,9 @@ struct stereo_rig {
   left_type left;
   right_type right;
   pose T_rl;
+  /// Seconds from the first row's exposure to the last one's, of both cameras, up to 0.1; 0 = a
+  /// global shutter. See camera_description.
+  float readout_s = 0;
 
   /// Distance of the two centres, metres.
   FT_HOST_DEVICE strict_float baseline_length() const {
@@ -77,6 +80,7 @@ struct stereo_rig {
     float const length = baseline_length().value;
     detail::require_finite("rig translation", length);
     detail::require_range("baseline", length, 1e-6f, 1e6f);
+    detail::require_range("readout_s", readout_s, 0.0f, 0.1f);
   }
 };
 
@@ -92,6 +96,9 @@ struct rectified_rig {
   static constexpr int searches = 1;
   pinhole<float> camera;
   double baseline = 0;  ///< metres
+  /// Seconds from the first row's exposure to the last one's, up to 0.1; 0 = a global shutter. See
+  /// camera_description.
+  float readout_s = 0;
 
   /// @throws bad_argument as check()
   static rectified_rig make(pinhole<float> const& camera, double baseline) {
@@ -135,6 +142,7 @@ struct rectified_rig {
     camera.check();
     detail::require_finite("baseline", baseline);
     detail::require_range("baseline", static_cast<float>(baseline), 1e-6f, 1e6f);
+    detail::require_range("readout_s", readout_s, 0.0f, 0.1f);
   }
 };
 

@@ -49,6 +49,12 @@ struct camera_description {
   rigid<double> T_camera_body = rigid<double>::identity();  ///< metres
   int right = -1;  ///< of a multi rig: number of the right camera of its pair; -1 = none
   bool has_depth_image = false;  ///< of a multi rig; `baseline` is that of its virtual pair
+  /// Of a rolling shutter: seconds from the exposure of the first row to that of the last one, 0 to
+  /// 0.1; 0 = a global shutter. Both cameras of a pair have the same, but in a multi rig. The time
+  /// of a frame is then that of the image's middle row, and so is the pose: keypoints are moved to
+  /// where they would be seen at that time, by the motion since the last frame. Stamps of the first
+  /// row are half a read-out early; add it.
+  double readout_s = 0;
 
   /// @throws bad_argument for more than 16 numbers
   static camera_description make(camera_kind kind, std::initializer_list<double> parameters) {

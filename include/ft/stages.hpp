@@ -84,6 +84,7 @@
 #include "ft/kernels/keypoints/order.hpp"
 #include "ft/kernels/keypoints/orientation.hpp"
 #include "ft/kernels/keypoints/refine_positions.hpp"
+#include "ft/kernels/keypoints/rolling_shutter.hpp"
 #include "ft/kernels/keypoints/take_keypoints.hpp"
 #include "ft/kernels/map/apply_window.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"

@@ -1,0 +1,377 @@
+// SPDX-License-Identifier: Apache-2.0
+/// @file Stages: keypoints of rolling shutters, moved to where a global one would see them.
+///
+/// Rows are read one after the other, at even distances; the time of a frame is that of the middle
+/// of its image. Source: Hedborg, Forssen, Felsberg and Ringaby, "Rolling shutter bundle
+/// adjustment", CVPR 2012; here the motion is known beforehand, so that keypoints are moved once
+/// and all that follows is that of a global shutter.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "ft/cameras/camera_model.hpp"
+#include "ft/cameras/monocular_rig.hpp"
+#include "ft/cameras/multi_rig.hpp"
+#include "ft/cameras/pinhole.hpp"
+#include "ft/containers/frame.hpp"
+#include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/keypoints.hpp"
+#include "ft/core/arithmetic.hpp"
+#include "ft/core/config.hpp"
+#include "ft/core/error.hpp"
+#include "ft/core/execution.hpp"
+#include "ft/kernels/images/undistort.hpp"
+#include "ft/kernels/odometry/state.hpp"
+#include "ft/math/se3.hpp"
+#include "ft/types/poses.hpp"
+
+namespace ft {
+inline namespace FT_ABI {
+
+/// How a body moves in its own frame: T_cw at t seconds after a frame is exp(t * (w, u)) times that
+/// of the frame. rad/s and m/s.
+struct body_velocity {
+  vec3<double> w, u;
+};
+/// By what the keypoints of a frame are moved.
+struct shutter_motion {
+  body_velocity before;  ///< by which they have been moved already
+  body_velocity now;     ///< by which they are to be moved in all
+};
+
+/// What the search from the last frame has found.
+struct first_poses {
+  pose const* T_cw;    ///< [batch]
+  int const* inliers;  ///< [batch]
+  int min_inliers;     ///< with fewer, a pose says nothing
+};
+
+/// When the rows of images are read, where the images are those of the sensor.
+/// @tparam Cameras of the rig
+template <int Cameras>
+struct sensor_rows {
+  float readout_s[Cameras] = {};  ///< from the first row to the last one, s
+  int height = 0;                 ///< of the images, pixels
+
+  /// Seconds from the middle of the image to a row.
+  FT_HOST_DEVICE strict_float time(int camera, float /*x*/, float y) const {
+    strict_float const last = static_cast<float>(height > 1 ? height - 1 : 1);
+    strict_float const row = min_of(max_of(strict_float(y), strict_float(0)), last);
+    return (row / last - 0.5f) * readout_s[camera];
+  }
+};
+
+/// The same, where images were rectified: the sensor's row is that of the camera which took them.
+template <typename Camera>
+struct rectified_rows {
+  Camera camera{};                 ///< whose sensor is read
+  pinhole<float> target{};         ///< of the rectified images
+  mat3<double> R_camera_target{};  ///< rotates points of `target` into `camera`
+  sensor_rows<1> rows;
+
+  /// Of a pixel without a row: 0.
+  FT_HOST_DEVICE strict_float time(int, float x, float y) const {
+    mat3<strict_double> R;
+    for (int i = 0; i < 9; ++i) { R.m[i] = R_camera_target.m[i]; }
+    auto const p = detail::transfer_pixel(
+        target.cast<strict_double>(), R, camera.template cast<strict_double>(),
+        {strict_double(static_cast<double>(x)), strict_double(static_cast<double>(y))});
+    if (!p.valid) { return strict_float(0); }
+    return rows.time(0, 0, static_cast<float>(p.pixel.y.value));
+  }
+};
+
+/// Frames whose rows were read one after the other.
+/// @tparam Rig of the keypoints @tparam Rows sensor_rows or rectified_rows
+template <typename Rig, typename Rows>
+struct rolling_frames {
+  Rig rig{};
+  Rows rows;
+  pyramid_geometry geometry;
+  frame_view frame;  ///< keypoints of `rig`'s cameras, and their partners
+  pixels_view raw;   ///< the same ones where the images that `rows` are about have them
+  shutter_motion const* motion = nullptr;  ///< [batch]
+  pixels_view moved;                       ///< output: positions; the counts are not written
+  /// In and out. [batch][cameras * capacity] as in stereo_matches_view; of a stereo_rig as in
+  /// fisheye_matches_view. Null where keypoints have no depth.
+  float* depth = nullptr;
+  float* right_x = nullptr;      ///< likewise; null without right images
+  vec3<float>* point = nullptr;  ///< likewise, of a stereo_rig alone
+};
+
+namespace detail {
+
+/// Mean velocity from a pose to another one. At rest where that is no number.
+FT_HOST_DEVICE inline body_velocity velocity_between(rigid<strict_double> const& from,
+                                                     rigid<strict_double> const& to,
+                                                     std::int64_t interval_ns) {
+  using real = strict_double;
+  twist const all = log_se3((to * from.inverse()).orthonormalized());
+  real const by = real(1e9) / real(static_cast<double>(interval_ns));
+  vec3<real> const w = scaled(all.w, by);
+  vec3<real> const u = scaled(all.u, by);
+  if (!scalar::is_finite(dot(w, w) + dot(u, u))) { return {{0, 0, 0}, {0, 0, 0}}; }
+  return {w.template cast<double>(), u.template cast<double>()};
+}
+
+/// Item: a camera of the odometry. How it moves, by its prediction.
+struct find_body_velocity {
+  using scratch = no_scratch;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, odometry_input const* inputs,
+                                 odometry_state_view const& state, shutter_motion* out) const {
+    using real = strict_double;
+    camera_track const& t = state.tracks[b];
+    body_velocity const rest{{0, 0, 0}, {0, 0, 0}};
+    out[b] = {rest, rest};
+    // Where the last pose is not known, the caller's prediction says nothing about the motion.
+    bool const lost = t.state != tracking_state::tracking;
+    if (!t.has_map() || t.interval_ns <= 0 || (lost && inputs[b].predicted != 0)) { return; }
+    out[b].now = velocity_between(state.T_cw[b].template cast<real>(),
+                                  t.predicted.template cast<real>(), t.interval_ns);
+  }
+};
+
+/// Item: a camera of the odometry. How it moves, by the first pose of the frame.
+struct refine_body_velocity {
+  using scratch = no_scratch;
+  using real = strict_double;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int b, first_poses const& found,
+                                 odometry_state_view const& state, shutter_motion* out) const {
+    camera_track const& t = state.tracks[b];
+    out[b].before = out[b].now;
+    bool const knows = t.state == tracking_state::tracking && t.interval_ns > 0 &&
+                       found.inliers[b] >= found.min_inliers;
+    if (!knows) { return; }
+    body_velocity v = velocity_between(state.T_cw[b].template cast<real>(),
+                                       found.T_cw[b].template cast<real>(), t.interval_ns);
+    if (t.velocity.known()) {
+      // Both are means over an interval; what is wanted is that at the end of the later one.
+      body_velocity const last = velocity_between(
+          rigid<real>::identity(), t.velocity.motion.template cast<real>(), t.velocity.interval_ns);
+      real const mine = real(static_cast<double>(t.interval_ns));
+      real const share = mine / (mine + real(static_cast<double>(t.velocity.interval_ns)));
+      v = {further(last.w, v.w, share), further(last.u, v.u, share)};
+    }
+    out[b].now = v;
+  }
+
+private:
+  FT_HOST_DEVICE static vec3<double> further(vec3<double> const& a, vec3<double> const& b,
+                                             real share) {
+    auto const from = a.template cast<real>();
+    auto const to = b.template cast<real>();
+    return (to + scaled(to - from, share)).template cast<double>();
+  }
+};
+
+/// A keypoint where the camera sees it, and its depth.
+struct rolling_place {
+  float x, y;  ///< as keypoints have them
+  int octave;
+  strict_double z;  ///< metres along the camera's axis; 0 = infinitely far
+};
+
+/// Item: a keypoint number of a frame. Of two partners the first one moves both: depths are its.
+template <typename Rig, typename Rows>
+struct move_to_middle_row {
+  using scratch = no_scratch;
+  using real = strict_double;
+  using frames = rolling_frames<Rig, Rows>;
+
+  template <typename Group>
+  FT_HOST_DEVICE void operator()(Group, scratch&, int item, frames const& in) const {
+    frame_view const& frame = in.frame;
+    int const b = item / frame.numbers();
+    int const number = item % frame.numbers();
+    if (number % frame.capacity() >= count(in, b, number)) { return; }
+    int const other = partner(in, b, number);
+    if (other >= 0 && other < number) { return; }
+    vec3<real> const seen = move(in, b, number, true, {real(0), real(0), real(0)});
+    if (other >= 0) { move(in, b, other, false, seen); }
+  }
+
+private:
+  FT_HOST_DEVICE static int count(frames const& in, int b, int number) {
+    return *in.frame.camera(b, number / in.frame.capacity()).count;
+  }
+  /// Number of the keypoint that sees the same in another camera; -1 = none.
+  FT_HOST_DEVICE static int partner(frames const& in, int b, int number) {
+    if (in.frame.partner == nullptr) { return -1; }
+    int const* const of = in.frame.partner + static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
+    int const other = of[number];
+    return other >= 0 && of[other] == number ? other : -1;
+  }
+  FT_HOST_DEVICE static bool differ(vec3<double> const& a, vec3<double> const& b) {
+    return a.x != b.x || a.y != b.y || a.z != b.z;
+  }
+  /// The motion in a time.
+  FT_HOST_DEVICE static rigid<real> moved_by(body_velocity const& v, real t) {
+    real const d[6] = {t * real(v.w.x), t * real(v.w.y), t * real(v.w.z),
+                       t * real(v.u.x), t * real(v.u.y), t * real(v.u.z)};
+    return exp_se3(d);
+  }
+
+  // What rigs have in common. The body of a stereo_rig is its left camera.
+
+  template <typename Use>
+  FT_HOST_DEVICE static auto with_camera(Rig const& rig, [[maybe_unused]] int c, Use const& use) {
+    if constexpr (Rig::rectified) {
+      return use(rig.pair(c).camera.template cast<real>());
+    } else {
+      return c == 0 ? use(rig.left.template cast<real>()) : use(rig.right.template cast<real>());
+    }
+  }
+  FT_HOST_DEVICE static vec3<real> to_body(Rig const& rig, int c, vec3<real> const& p) {
+    if constexpr (Rig::rectified) {
+      return rig.to_body(c, p);
+    } else {
+      return c == 0 ? p : rig.T_rl.template cast<real>().inverse() * p;
+    }
+  }
+  FT_HOST_DEVICE static vec3<real> to_camera(Rig const& rig, int c, vec3<real> const& p) {
+    if constexpr (Rig::rectified) {
+      return rig.to_camera(c, p);
+    } else {
+      return c == 0 ? p : rig.T_rl.template cast<real>() * p;
+    }
+  }
+  /// A direction likewise. @param turn of the body, between both
+  FT_HOST_DEVICE static vec3<real> turned(Rig const& rig, int c, mat3<real> const& turn,
+                                          vec3<real> const& ray) {
+    vec3<real> const zero{real(0), real(0), real(0)};
+    vec3<real> const in_body = turn * (to_body(rig, c, ray) - to_body(rig, c, zero));
+    return to_camera(rig, c, in_body) - to_camera(rig, c, zero);
+  }
+
+  /// Seconds from the middle of the image to the row of a keypoint.
+  FT_HOST_DEVICE static real time_of(frames const& in, int image, int c, int i, int octave) {
+    pixels_view const raw = in.raw.slice(image);
+    strict_float const t =
+        in.rows.time(c, in.geometry.column(raw.x(i), octave), in.geometry.row(raw.y(i), octave));
+    return static_cast<double>(t.value);
+  }
+  FT_HOST_DEVICE static real depth_of(frames const& in, int b, int number, int octave) {
+    if constexpr (!Rig::rectified) {
+      int const capacity = in.frame.capacity();
+      if (in.point == nullptr || number >= capacity) { return real(0); }
+      return static_cast<double>(in.point[static_cast<std::ptrdiff_t>(b) * capacity + number].z);
+    } else {
+      if (in.depth == nullptr) { return real(0); }
+      float const z = in.depth[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() + number];
+      return z > 0 ? static_cast<double>(in.geometry.depth(z, octave)) : 0.0;
+    }
+  }
+
+  /// Writes where a keypoint is seen at the middle row's time, and its depth.
+  /// @param own whether its depth is its own; otherwise that of `body`, a point in the body's frame
+  ///   or 0
+  /// @return the point in the body's frame at the time of its row; 0 without a depth
+  FT_HOST_DEVICE static vec3<real> move(frames const& in, int b, int number, bool own,
+                                        vec3<real> const& body) {
+    vec3<real> const nothing{real(0), real(0), real(0)};
+    int const c = number / in.frame.capacity();
+    int const i = number % in.frame.capacity();
+    int const image = in.frame.image(b, c);
+    keypoints_view const kp = in.frame.keypoints.slice(image);
+    pixels_view const moved = in.moved.slice(image);
+    rolling_place at{kp.x(i), kp.y(i), kp.octave(i), real(0)};
+    moved.x(i) = at.x;
+    moved.y(i) = at.y;
+    shutter_motion const& v = in.motion[b];
+    if (!differ(v.before.w, v.now.w) && !differ(v.before.u, v.now.u)) { return nothing; }
+    if (own) {
+      at.z = depth_of(in, b, number, at.octave);
+    } else if (dot(body, body) > real(0)) {
+      at.z = to_camera(in.rig, c, body).z;
+    }
+    real const t = time_of(in, image, c, i, at.octave);
+    // The body at the row's time to that at the middle row's.
+    rigid<real> const T = moved_by(v.now, -t) * moved_by(v.before, t);
+    return with_camera(in.rig, c, [&](auto const& camera) {
+      pyramid_geometry const& g = in.geometry;
+      auto const seen = camera.unproject({real(static_cast<double>(g.column(at.x, at.octave))),
+                                          real(static_cast<double>(g.row(at.y, at.octave)))});
+      bool const near = at.z > real(0) && seen.direction.z > real(0);
+      vec3<real> const point =
+          near ? to_body(in.rig, c, scaled(seen.direction, at.z / seen.direction.z)) : nothing;
+      vec3<real> const now =
+          near ? to_camera(in.rig, c, T * point) : turned(in.rig, c, T.R, seen.direction);
+      auto const p = camera.project(now);
+      auto const x = static_cast<float>(p.pixel.x.value);
+      auto const y = static_cast<float>(p.pixel.y.value);
+      bool const good = seen.valid && p.valid && scalar::is_finite(x) && scalar::is_finite(y) &&
+                        !(near && !(now.z > real(0)));
+      if (!good) { return nothing; }
+      moved.x(i) = g.level_column(x, at.octave);
+      moved.y(i) = g.level_row(y, at.octave);
+      if (near && own) { write_depth(in, b, number, at.octave, {p.pixel.x, now, T}); }
+      return point;
+    });
+  }
+
+  /// A keypoint at the middle row's time.
+  struct moved_point {
+    real x;          ///< column, pixels
+    vec3<real> now;  ///< in the camera's frame
+    rigid<real> T;   ///< what moved it, in the body's frame
+  };
+  FT_HOST_DEVICE static void write_depth(frames const& in, int b, int number, int octave,
+                                         moved_point const& to) {
+    if constexpr (!Rig::rectified) {
+      std::ptrdiff_t const k = static_cast<std::ptrdiff_t>(b) * in.frame.capacity() + number;
+      in.point[k] = (to.T * in.point[k].template cast<real>()).template cast<float>();
+      in.depth[k] = in.point[k].z;
+    } else {
+      std::ptrdiff_t const k = static_cast<std::ptrdiff_t>(b) * in.frame.numbers() + number;
+      in.depth[k] = in.geometry.level_depth(static_cast<float>(to.now.z.value), octave);
+      if (in.right_x == nullptr || !(in.right_x[k] >= 0)) { return; }
+      int const c = number / in.frame.capacity();
+      real const bf = static_cast<double>(in.rig.pair(c).bf());
+      // One that leaves the image stays a match: nothing reads the right image any more.
+      real const right = max_of(to.x - bf / to.now.z, real(0));
+      in.right_x[k] = in.geometry.level_column(static_cast<float>(right.value), octave);
+    }
+  }
+};
+
+}  // namespace detail
+
+/// How cameras move at their current frames, by predict_frames(): as from the last frame to the
+/// prediction. At rest where there is no motion yet. Asynchronous on `exec`; allocates nothing; one
+/// launch.
+/// @param inputs [batch] host memory that the executor's threads can read
+/// @param out [batch]
+template <typename Exec>
+void find_body_velocities(Exec const& exec, odometry_input const* inputs,
+                          odometry_state_view const& state, shutter_motion* out) {
+  for_each_item<per_thread>(exec, state.batch, detail::find_body_velocity{}, inputs, state, out);
+}
+
+/// How they move by the first poses of the frames: the mean velocity since the last frame, and its
+/// change since the motion before, give that of the frame. Where too few agree with a pose, as it
+/// was. Asynchronous on `exec`; allocates nothing; one launch.
+/// @param out [batch] of find_body_velocities()
+template <typename Exec>
+void refine_body_velocities(Exec const& exec, first_poses const& found,
+                            odometry_state_view const& state, shutter_motion* out) {
+  for_each_item<per_thread>(exec, state.batch, detail::refine_body_velocity{}, found, state, out);
+}
+
+/// Moves keypoints to where the camera would see the same points at the time of the image's middle,
+/// with their depths and right columns; those without a depth as if they were infinitely far.
+/// Those that have been moved before are moved by the difference; `frame` has them then. Where
+/// nothing moves, positions are copied. Computed in double and rounded to float once.
+/// Asynchronous on `exec`; allocates nothing; one launch.
+template <typename Exec, typename Rig, typename Rows>
+void move_to_middle_rows(Exec const& exec, rolling_frames<Rig, Rows> const& in) {
+  for_each_item<per_thread>(exec, in.frame.batch * in.frame.numbers(),
+                            detail::move_to_middle_row<Rig, Rows>{}, in);
+}
+
+}  // namespace FT_ABI
+}  // namespace ft

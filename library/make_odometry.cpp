@@ -8,6 +8,22 @@ namespace ft {
 inline namespace v0 {
 namespace {
 
+void require_readouts(rig_description const& rig) {
+  constexpr double most = 0.1;
+  for (int c = 0; c < rig.cameras; ++c) {
+    double const s = rig.camera[c].readout_s;
+    if (!(s >= 0 && s <= most)) {
+      throw bad_argument("ft: readout_s of camera " + std::to_string(c) + " is " +
+                         std::to_string(s) + ", must be in [0, 0.1]");
+    }
+    if (rig.kind != rig_kind::multi && s != rig.camera[0].readout_s) {
+      throw bad_argument("ft: readout_s of the cameras of a " + std::string(name_of(rig.kind)) +
+                         " are " + std::to_string(rig.camera[0].readout_s) + " and " +
+                         std::to_string(s) + ", must be equal");
+    }
+  }
+}
+
 void require_cameras(rig_description const& rig) {
   bool const pair = rig.kind == rig_kind::distorted_pair || rig.kind == rig_kind::fisheye_pair;
   int const least = pair ? 2 : 1;
@@ -98,6 +114,7 @@ any_odometry make_odometry(device const& where, rig_description const& rig,
   factory& of_rig = factory_of(rig, gpu);  // refuses what is none
   factory& make = descriptors == descriptor_kind::orb ? of_rig : factory_of(descriptors, gpu);
   require_cameras(rig);
+  require_readouts(rig);
   return make({where, rig, params, batch, places});
 }
 

@@ -63,7 +63,10 @@ inline pose right_from_left(rig_description const& rig) {
 }
 
 inline rectified_rig rectified_pair_of(rig_description const& rig) {
-  return rectified_rig::make(pinhole_of(rig, 0), rig.camera[0].baseline);
+  auto pair = rectified_rig::make(pinhole_of(rig, 0), rig.camera[0].baseline);
+  pair.readout_s = narrow(rig.camera[0].readout_s);
+  pair.check();
+  return pair;
 }
 
 inline distorted_pair<radtan8<float>> distorted_pair_of(rig_description const& rig) {
@@ -77,6 +80,7 @@ inline distorted_pair<radtan8<float>> distorted_pair_of(rig_description const& r
       pinhole<float>{narrow(k[0]), narrow(k[1]), narrow(k[2]), narrow(k[3])});
   pair.width = rig.raw_width;
   pair.height = rig.raw_height;
+  pair.readout_s = narrow(rig.camera[0].readout_s);
   pair.check();
   return pair;
 }
@@ -87,7 +91,7 @@ inline fisheye_rig fisheye_pair_of(rig_description const& rig) {
     return camera_of<kannala_brandt<float>>(rig, c, camera_kind::kannala_brandt,
                                             "fisheye pairs of kannala_brandt");
   };
-  return {of(0), of(1), right_from_left(rig)};
+  return {of(0), of(1), right_from_left(rig), narrow(rig.camera[0].readout_s)};
 }
 
 template <typename Camera>
@@ -95,6 +99,7 @@ rgbd_rig<Camera> rgbd_of(rig_description const& of, Camera const& camera) {
   auto rig = rgbd_rig<Camera>::make(camera, of.camera[0].baseline, narrow(of.depth_scale));
   rig.min_depth = narrow(of.min_depth);
   rig.max_depth = narrow(of.max_depth);
+  rig.readout_s = narrow(of.camera[0].readout_s);
   rig.check();
   return rig;
 }
@@ -105,8 +110,8 @@ multi_rig<N> multi_of(rig_description const& of) {
   multi_rig<N> rig{};
   for (rig_camera& c : rig.of) { c = rig_camera::none(); }
   for (int i = 0; i < of.cameras; ++i) {
-    rig.of[i] = {pinhole_of(of, i), of.camera[i].baseline,
-                 of.camera[i].T_camera_body.cast<float>()};
+    rig.of[i] = {pinhole_of(of, i), of.camera[i].baseline, of.camera[i].T_camera_body.cast<float>(),
+                 true, narrow(of.camera[i].readout_s)};
   }
   return rig;
 }
@@ -149,6 +154,7 @@ mixed_rig<N> mixed_of(rig_description const& of) {
     mixed_rig_camera c =
         mixed_rig_camera::single(any_camera_of(of, i), given.T_camera_body.cast<float>());
     c.baseline = given.right >= 0 ? 0 : given.baseline;
+    c.readout_s = narrow(given.readout_s);
     c.has_depth_image = given.has_depth_image;
     c.has_right_image = !given.has_depth_image && given.right < 0 && given.baseline != 0;
     if (c.has_depth_image) {

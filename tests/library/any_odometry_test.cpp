@@ -222,6 +222,26 @@ TEST(any_odometry, refuses_rigs_that_contradict_themselves) {
       "17 parameters, must have at most 16");
 }
 
+TEST(any_odometry, refuses_readouts_that_are_none) {
+  auto const refused = [&](ft::rig_description const& rig, char const* part) {
+    EXPECT_REFUSED(ft::make_odometry({}, rig, params()), part);
+  };
+  ft::rig_description rig = rectified();
+  rig.camera[0].readout_s = -0.001;
+  refused(rig, "readout_s of camera 0 is -0.001");
+  rig.camera[0].readout_s = std::numeric_limits<double>::quiet_NaN();
+  refused(rig, "readout_s of camera 0 is nan, must be in [0, 0.1]");
+  rig.camera[0].readout_s = 0.2;
+  refused(rig, "readout_s of camera 0 is 0.2");
+  auto const fisheye =
+      ft::camera_description::make(ft::camera_kind::kannala_brandt, {300, 300, 240, 180});
+  auto T = ft::rigid<double>::identity();
+  T.t.x = -0.1;
+  rig = ft::rig_description::fisheye_pair(fisheye, fisheye, T);
+  rig.camera[1].readout_s = 0.02;
+  refused(rig, "readout_s of the cameras of a fisheye_pair are 0.000000 and 0.020000");
+}
+
 TEST(any_odometry, refuses_devices_that_are_not_there) {
   int const gpus = static_cast<int>(ft::gpu_names().size());
   auto const refused = [&](int gpu, char const* part) {
@@ -275,7 +295,9 @@ TEST(rig_description, keeps_every_number_of_a_camera) {
   for (int i = 0; i < 8; ++i) { EXPECT_EQ(camera.distortion[i], 0.1f * float(i + 1)) << i; }
   rig.min_depth = 0.3;
   rig.max_depth = 4;
+  rig.camera[0].readout_s = 0.02;
   auto const made = rgbd_of(rig, camera);
+  EXPECT_EQ(made.readout_s, 0.02f);
   EXPECT_EQ(made.baseline, 0.08);
   EXPECT_EQ(made.depth_scale, 0.001f);
   EXPECT_EQ(made.min_depth, 0.3f);
@@ -295,7 +317,9 @@ TEST(rig_description, is_the_rig_of_the_headers) {
   std::copy(wanted, wanted + 4, rig.rectified);
   rig.raw_width = 640;
   rig.raw_height = 480;
+  rig.camera[0].readout_s = rig.camera[1].readout_s = 0.02;
   auto const made = distorted_pair_of(rig);
+  EXPECT_EQ(made.readout_s, 0.02f);
   auto const expected = ft::distorted_pair<camera>::make(
       {400, 401, 320, 240, {-0.2f, 0.05f}}, {402, 403, 321, 241, {}},
       rig.camera[1].T_camera_body.cast<float>(), {390, 390, 319, 239});
@@ -318,12 +342,14 @@ TEST(rig_description, fills_a_multi_rig) {
         ft::camera_description::make(ft::camera_kind::pinhole, {300.0 + i, 301, 240, 180});
     rig.camera[i].baseline = i == 1 ? 0 : 0.1;
     rig.camera[i].T_camera_body.t.x = i;
+    rig.camera[i].readout_s = 0.01 * i;
   }
   auto const made = multi_of<4>(rig);
   for (int i = 0; i < 3; ++i) {
     EXPECT_EQ(made.of[i].camera.fx, 300.0f + float(i));
     EXPECT_EQ(made.of[i].single(), i == 1);
     EXPECT_EQ(made.of[i].T_cb.t.x, float(i));
+    EXPECT_FLOAT_EQ(made.of[i].readout_s, 0.01f * float(i));
     EXPECT_TRUE(made.of[i].used);
   }
   EXPECT_FALSE(made.of[3].used);
@@ -346,7 +372,9 @@ TEST(rig_description, fills_a_mixed_rig) {
   rig.camera[3].has_depth_image = true;
   rig.depth_scale = 0.001;
   rig.max_depth = 4;
+  rig.camera[2].readout_s = 0.02;
   auto const made = ft::library::host::mixed_of<5>(rig);
+  EXPECT_EQ(made.of[2].readout_s, 0.02f);
   made.check();
   EXPECT_EQ(made.of[0].right, 2);
   EXPECT_EQ(made.of[2].left, 0);

@@ -24,6 +24,7 @@
 #include "ft/pipelines/detail/frame_images.hpp"
 #include "ft/pipelines/detail/frame_schedule.hpp"
 #include "ft/pipelines/detail/frame_stages.hpp"
+#include "ft/pipelines/detail/rolling_parts.hpp"
 #include "ft/pipelines/orb_extractor.hpp"
 #include "ft/pipelines/stereo_matcher.hpp"
 #include "ft/pipelines/tracker_types.hpp"
@@ -74,6 +75,9 @@ public:
   /// @throws bad_argument, std::bad_alloc, cuda_error
   frame_tracker(Exec const& exec, Rig const& rig, tracker_params const& params, int batch = 1) {
     rig.check();
+    detail::require(!detail::has_rolling_shutter(rig),
+                    "readout_s is above 0: a frame_tracker takes global shutters, an odometry "
+                    "knows the motion that rolling ones need");
     detail::require_range("batch of camera pairs", batch, 1, 2048);
     check(params);
     stages_.prepare(exec, rig, params, batch);

@@ -62,6 +62,7 @@ public:
   float const* radius_factor = nullptr;   ///< of local_search; may be null
   float* information = nullptr;           ///< of frame_poses; may be null
   pose_params pose_settings;              ///< of both poses of a frame
+  pixels_view moved;                      ///< of keypoints that are moved; or none
 
   // ---- images and keypoints
 
@@ -233,10 +234,20 @@ public:
     stereo_branch_.make();
     result_branch_.make();
   }
+  /// The keypoints where they were found, or where the undistorted camera sees them.
+  keypoints_view unmoved_keypoints() const {
+    if constexpr (undistorts) {
+      return matcher.keypoints(extractor);
+    } else {
+      return extractor.keypoints();
+    }
+  }
   /// The frame's keypoints and stereo are those of the extractor and the matcher.
   void point_frame_at_features() {
-    memory.frame.keypoints = extractor.keypoints();
-    if constexpr (undistorts) { memory.frame.keypoints = matcher.keypoints(extractor); }
+    memory.frame.keypoints = unmoved_keypoints();
+    if (moved.count != nullptr) {
+      memory.frame.keypoints = with_columns(memory.frame.keypoints, moved);
+    }
     if constexpr (rectified) {
       memory.frame.right_x = array_of<field::right_x>(matcher.matches());
     } else {

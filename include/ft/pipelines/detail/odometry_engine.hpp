@@ -256,6 +256,7 @@ private:
     stages.frustum.min_y = seen.min_y;
     stages.frustum.max_x = seen.max_x;
     stages.frustum.max_y = seen.max_y;
+    stages.rolling = rolling_keypoints<Exec, Rig>(rig, params.orb.height, stages.capacity(), batch);
     stages.take_all_memory(exec, params.adjustment_delay);
     stages.initialize_all(exec);
     exec.wait();

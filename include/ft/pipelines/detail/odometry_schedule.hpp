@@ -35,6 +35,7 @@ void queue_prediction(Exec const& exec, Stages& s) {
     s.part_branch().join(exec);
     s.launch_parts(exec, &part::after_prediction);
   }
+  if (s.rolls()) { s.find_velocities(exec); }
 }
 
 /// Which stages a frame has.
@@ -43,6 +44,24 @@ enum class frame_extent {
   prefetched,  ///< those that follow frame_features::queue()
   given        ///< those of features that the caller gives; see own_features
 };
+
+/// The search from the last frame and its pose, of features that are there.
+template <typename Line, typename Stages>
+void queue_last_frame(Line& line, Stages& s) {
+  s.list_last_frame(line.then("search last frame"));
+  s.mark_fixed(line.fork(s.result_branch()));
+  s.assign_last_frame(line.then("search last frame"));
+  line.join(s.result_branch());
+  s.optimize_last(line.then("pose last frame"));
+}
+
+/// The same of rolling shutters, whose keypoints and partners have to be moved before.
+template <typename Line, typename Stages>
+void queue_moved_last_frame(Line& line, Stages& s) {
+  if constexpr (Stages::has_partners) { s.refine_partners(line.then("stereo")); }
+  s.move_to_middle_rows(line.then("rolling shutter"));
+  queue_last_frame(line, s);
+}
 
 /// Inputs, images, keypoints, stereo, the search from the last frame and its pose.
 template <typename Line, typename Stages>
@@ -53,7 +72,10 @@ void queue_odometry_motion(Line& line, Stages& s) {
         queue_images(l, s, false, [&] { s.watch_images(l.fork(s.result_branch())); });
       });
   if constexpr (Stages::undistorts) { s.undistort(line.then("undistort")); }
-  if constexpr (Stages::rectified) {
+  if (s.rolls()) {
+    s.match_stereo(line.then(Stages::starts_from_motion ? "start" : "stereo"));
+    queue_moved_last_frame(line, s);
+  } else if constexpr (Stages::rectified) {
     // One camera has no depths.
     char const* const stereo = Stages::starts_from_motion ? "start" : "stereo";
     line.both([&](Line& l) { s.list_last_frame(l.then("search last frame")); },
@@ -77,21 +99,15 @@ void queue_odometry_motion(Line& line, Stages& s) {
   }
 }
 
-/// The search from the last frame and its pose, of features that are there.
-template <typename Line, typename Stages>
-void queue_last_frame(Line& line, Stages& s) {
-  s.list_last_frame(line.then("search last frame"));
-  s.mark_fixed(line.fork(s.result_branch()));
-  s.assign_last_frame(line.then("search last frame"));
-  line.join(s.result_branch());
-  s.optimize_last(line.then("pose last frame"));
-}
-
 /// The same as queue_odometry_motion() of a frame whose features were prefetched.
 template <typename Line, typename Stages>
 void queue_prefetched_motion(Line& line, Stages& s) {
   s.watch_images(line.fork(s.result_branch()));
   queue_prediction(line.then("motion"), s);
+  if (s.rolls()) {
+    queue_moved_last_frame(line, s);
+    return;
+  }
   queue_last_frame(line, s);
   if constexpr (Stages::has_partners) { s.refine_partners(line.then("stereo")); }
 }
@@ -103,6 +119,7 @@ void queue_given_motion(Line& line, Stages& s) {
   line.beside(
       s.beginning_branch(), "motion", [&](auto const& exec) { queue_prediction(exec, s); },
       [&](Line& l) { s.launch_parts(l.then("features"), &part::queue_features); });
+  if (s.rolls()) { s.move_to_middle_rows(line.then("rolling shutter")); }
   queue_last_frame(line, s);
 }
 
@@ -117,6 +134,9 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
     if (extent == frame_extent::prefetched) { queue_prefetched_motion(line, s); }
   }
   s.search_without_window(line.then("pose last frame"));
+  // Without depths keypoints are turned alone, so that the first pose turns too far or too little:
+  // the prediction is better.
+  if (s.rolls() && !Stages::starts_from_motion) { s.move_again(line.then("rolling shutter")); }
   s.plan_search(line.then("update local map"));
   s.choose_local(line.then("update local map"));
   s.list_local_map(line.then("search local map"));

@@ -33,6 +33,7 @@
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/odometry_packing.hpp"
 #include "ft/pipelines/detail/odometry_part.hpp"
+#include "ft/pipelines/detail/rolling_parts.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
@@ -103,6 +104,40 @@ public:
     }
   }
   static constexpr bool has_partners = !base::rectified || is_mixed_v<Rig>;
+
+  // ---- rolling shutters
+
+  rolling_keypoints<Exec, Rig> rolling;
+  bool rolls() const { return rolling.present(); }
+  void find_velocities(Exec const& exec) const {
+    rolling.find_velocities(exec, own.inputs, own.state);
+  }
+  /// After the first pose, whose motion is that of the frame: three launches.
+  void move_again(Exec const& exec) const {
+    rolling.refine_velocities(
+        exec, {memory.poses, memory.observations.inliers, settings.rules.min_motion_inliers},
+        own.state);
+    move_to_middle_rows(exec, memory.frame.keypoints);
+  }
+  /// After depths and partners, before what searches: two launches.
+  void move_to_middle_rows(Exec const& exec) const {
+    move_to_middle_rows(exec, this->unmoved_keypoints());
+  }
+  /// @param from keypoints where they are
+  void move_to_middle_rows(Exec const& exec, keypoints_view const& from) const {
+    typename rolling_keypoints<Exec, Rig>::template frames<typename base::searched_rig> in{};
+    in.rig = this->rig;
+    in.geometry = this->geometry();
+    in.frame = memory.frame;
+    in.frame.keypoints = from;
+    in.raw = this->extractor.keypoints();
+    // The matcher's own memory: nothing else reads it at that time.
+    in.depth = const_cast<float*>(this->matcher.depth());
+    in.right_x = const_cast<float*>(memory.frame.right_x);
+    in.point = this->matcher.fisheye_matches().point;
+    if constexpr (is_mixed_v<Rig>) { in.frame.partner = this->matcher.partners(); }
+    rolling.move(exec, in);
+  }
 
   // ---- parts, at points of the schedule
 
@@ -313,9 +348,12 @@ public:
 
   // ---- state
 
-  allocated_bytes bytes() const { return base::bytes() + allocated_bytes{grid_memory_.bytes(), 0}; }
+  allocated_bytes bytes() const {
+    return base::bytes() + allocated_bytes{grid_memory_.bytes() + rolling.bytes(), 0};
+  }
   /// @param runs adjustments in flight, at most
   void take_all_memory(Exec const& exec, int runs) {
+    if (rolls()) { this->moved = rolling.moved(); }
     base::take_memory(input.images().sources());
     own.take(frame_shape::of<Rig>(this->capacity(), this->batch), settings, runs);
     if constexpr (Rig::images > 2 || is_mixed_v<Rig>) { own.may_miss_images(); }

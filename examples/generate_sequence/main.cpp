@@ -62,6 +62,7 @@ int main(int argc, char** argv) {
   std::string directory;
   bool steady_exposure = false;
   double exposure_ms = 0;
+  double readout_ms = 0;
   time_options times;
 
   CLI::App app(
@@ -83,6 +84,8 @@ int main(int argc, char** argv) {
   app.add_flag("--steady-exposure", steady_exposure, "keep the exposure constant");
   add("--exposure", exposure_ms,
       "exposure time, ms: images are blurred by motion, and take longer");
+  add("--readout", readout_ms,
+      "of rolling shutters: from the first row to the last one, ms; the stamp is the middle row's");
   add_times(app, times);
   std::string scene = "room";
   add_scene(app, add, scene, options);
@@ -110,6 +113,7 @@ int main(int argc, char** argv) {
     options.exposure_change = !steady_exposure;
     options.threads = writing.threads;
     options.exposure_s = 1e-3 * exposure_ms;
+    options.readout_s = 1e-3 * readout_ms;
     take_times(times, options);
     seq::generator const source(options);
     seq::progress progress(std::cerr, ::isatty(STDERR_FILENO) == 1, "generate", source.size());

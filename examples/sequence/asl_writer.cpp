@@ -74,6 +74,9 @@ void write_camera(fs::path const& folder, char const* name, camera_intrinsics co
   } else {
     out << "distortion_model: radial-tangential\ndistortion_coefficients: [0.0, 0.0, 0.0, 0.0]\n";
   }
+  if (camera.readout_s > 0) {
+    out << "readout_s: " << camera.readout_s << " # rolling shutter, first row to last row\n";
+  }
   out.close();
 }
 
@@ -154,7 +157,7 @@ void write_options(fs::path const& path, generator_options const& o) {
       << "\nimu_rate: " << o.imu_rate << "\nimu_noise_scale: " << o.imu_noise_scale
       << "\nimu_noise: " << o.imu.gyro << " " << o.imu.accel << " " << o.imu.gyro_walk << " "
       << o.imu.accel_walk << "\ngyro_bias: " << o.gyro_bias << "\naccel_bias: " << o.accel_bias
-      << "\nexposure_s: " << o.exposure_s
+      << "\nexposure_s: " << o.exposure_s << "\nreadout_s: " << o.readout_s
       << "\nscene: " << (o.scene == scene_kind::corridor ? "corridor" : "room")
       << "\nspeed: " << o.speed << "\nlook_aside: " << o.look_aside << "\nrepeat: " << o.repeat
       << "\nhiding: " << o.hiding.bonnet << " " << o.hiding.dirt << " " << o.hiding.companion << " "

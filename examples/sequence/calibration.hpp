@@ -42,6 +42,7 @@ constexpr double usual_virtual_baseline = 0.08;
 
 /// EuRoC: `mav0`/cam0/sensor.yaml and `mav0`/cam1/sensor.yaml. Distortion models radial-tangential
 /// (or radtan), equidistant (= Kannala-Brandt), none. T_BS maps camera points into the body.
+/// readout_s, which EuRoC's own files do not have, is camera_intrinsics::readout_s.
 /// @param kind stereo, or mono: cam0 alone
 /// @throws seq::error
 calibration read_euroc_calibration(std::string const& mav0, camera_kind kind = camera_kind::stereo);
@@ -100,7 +101,8 @@ calibration published_tum_calibration(int camera, camera_kind kind = camera_kind
 /// (maps cam0 points into cam1), and with an IMU T_cam_imu (or OpenVINS's T_imu_cam) and
 /// timeshift_cam_imu. The IMU's noise is read from the imu.yaml that lies beside it (imu0.yaml,
 /// kalibr_imu_chain.yaml, TUM-VI's imu_config.yaml, or `imu` in place of `camchain-imucam` in its
-/// name). Key names are Kalibr's.
+/// name). line_delay is the time from a row to the next one, s, or ns where it is 1 or more. Key
+/// names are Kalibr's.
 /// @throws seq::error
 calibration read_kalibr_calibration(std::string const& path,
                                     camera_kind kind = camera_kind::stereo);

@@ -162,6 +162,11 @@ void check_rig(stereo_rig const& rig, std::string const& source, camera_kind kin
                 std::to_string(rig.right.width) + " x " + std::to_string(rig.right.height) +
                 ": must be equal");
   }
+  if (kind == camera_kind::stereo && std::fabs(rig.left.readout_s - rig.right.readout_s) > 1e-5) {
+    throw error(source + ": rows of the left camera are read in " + to_text(rig.left.readout_s) +
+                " s, those of the right one in " + to_text(rig.right.readout_s) +
+                " s: must be equal");
+  }
   if (!rig.T_left_right.matrix().allFinite() || !rig.T_body_left.matrix().allFinite()) {
     throw error(source + ": camera extrinsics are not finite");
   }

@@ -67,6 +67,7 @@ camera_intrinsics read_sensor(std::string const& path, Eigen::Isometry3d& T_body
   drop_zero_distortion(camera);
   T_body_camera = file.transform("T_BS");
   fps = file.number_or("rate_hz", fps_limits, 0);
+  camera.readout_s = file.number_or("readout_s", readout_limits, 0);
   for (char const* key : {"sensor_type", "comment"}) { file.skip(key); }
   for (std::string const& key : file.unread()) {
     warnings.push_back(path + ": " + key + " is not known and was not taken");

@@ -36,6 +36,16 @@ void read_intrinsics(yaml_file const& file, std::size_t shape, camera_intrinsics
   camera.cy = projection[3];
 }
 
+/// Kalibr's line_delay, the time from a row to the next one: seconds, or nanoseconds where it is 1
+/// or more, which no row takes in seconds.
+void read_line_delay(yaml_file const& file, camera_intrinsics& camera) {
+  double delay = file.number_or("line_delay", {0, 1e8}, 0);
+  if (delay >= 1) { delay *= 1e-9; }
+  camera.readout_s = delay * (camera.height - 1);
+  check_number(camera.readout_s, readout_limits, file.path(),
+               "line_delay times the number of rows");
+}
+
 camera_intrinsics read_kalibr_camera(yaml_file const& file) {
   camera_intrinsics camera;
   std::vector<double> const size = file.list("resolution", side_limits);
@@ -45,6 +55,7 @@ camera_intrinsics read_kalibr_camera(yaml_file const& file) {
   }
   camera.width = static_cast<int>(size[0]);
   camera.height = static_cast<int>(size[1]);
+  read_line_delay(file, camera);
   std::string const model = file.text("camera_model");
   std::string const distortion = file.text_or("distortion_model", "none");
   std::vector<double> coefficients;

@@ -82,6 +82,13 @@ struct generator::impl {
     return camera_motion(time_ns(i)).T_world_camera *
            views[static_cast<std::size_t>(camera)].T_left_this;
   }
+  // Seconds after the stamp of a frame at which a row is seen.
+  double row_delay(camera_intrinsics const& c, double row) const {
+    return options.readout_s * (row / std::max(c.height - 1, 1) - 0.5);
+  }
+  Eigen::Isometry3d T_world_left(int i, double delay) const {
+    return motion_at(route, std::max(seconds(time_ns(i)) + delay, 0.0)).T_world_camera;
+  }
   /// @param T_left_other see generator::render @param first_noise number of the first image's noise
   stereo_frame render(int i, Eigen::Isometry3d const& T_left_other, std::size_t first_noise) const;
   /// @param number of the noise
@@ -204,7 +211,7 @@ std::vector<float> generator::impl::collect_light(int i, view const& v,
                                                   Eigen::Isometry3d const& T_left_other) const {
   if (within(options.blind, i)) { return std::vector<float>(v.rays.size(), 0.0f); }
   double const t = seconds(time_ns(i));
-  auto const at = [&](double when) {
+  auto const placed = [&](double when) {
     when = std::max(when, 0.0);
     Eigen::Isometry3d const T_world_left = motion_at(route, when).T_world_camera;
     Eigen::Isometry3d const T_left_camera = T_left_other * v.T_left_this;
@@ -212,7 +219,11 @@ std::vector<float> generator::impl::collect_light(int i, view const& v,
     generated::place(hiding, options.hiding, when, motion_at(route, 0).T_world_camera, T_world_left,
                      T_left_camera, seen);
     seen.push_back({&surfaces, (T_world_left * T_left_camera).inverse()});
-    return generated::trace(v, seen);
+    return seen;
+  };
+  auto const at = [&](double when) {
+    if (options.readout_s == 0) { return generated::trace(v, placed(when)); }
+    return generated::trace_rows(v, [&](int y) { return placed(when + row_delay(v.camera, y)); });
   };
   int const count = exposure_steps(t);
   std::vector<float> sum = at(t + options.exposure_s * (0.5 / count - 0.5));
@@ -262,15 +273,18 @@ double generator::impl::nearest(Eigen::Vector3d const& start,
 }
 
 depth_image generator::impl::depths(int i, view const& v) const {
-  Eigen::Isometry3d const T = camera_motion(time_ns(i)).T_world_camera * v.T_left_this;
   depth_image out;
   out.width = v.camera.width;
   out.height = v.camera.height;
   out.pixels.reserve(v.rays.size());
-  for (Eigen::Vector3f const& r : v.rays) {
-    Eigen::Vector3d const ray = r.cast<double>();
-    double const z = 1000 * ray.z() * nearest(T.translation(), T.linear() * ray);
-    out.pixels.push_back(z > 0 && z < 65535 ? static_cast<std::uint16_t>(std::lround(z)) : 0);
+  auto r = v.rays.begin();
+  for (int y = 0; y < out.height; ++y) {
+    Eigen::Isometry3d const T = T_world_left(i, row_delay(v.camera, y)) * v.T_left_this;
+    for (int x = 0; x < out.width; ++x, ++r) {
+      Eigen::Vector3d const ray = r->cast<double>();
+      double const z = 1000 * ray.z() * nearest(T.translation(), T.linear() * ray);
+      out.pixels.push_back(z > 0 && z < 65535 ? static_cast<std::uint16_t>(std::lround(z)) : 0);
+    }
   }
   return out;
 }
@@ -332,9 +346,10 @@ std::optional<Eigen::Vector3d> generator::surface_point(int i, int camera, doubl
   impl const& m = *impl_;
   m.check_frame(i);
   m.check_camera(camera);
-  auto const ray = generated::unproject(m.views[static_cast<std::size_t>(camera)].camera, u, v);
+  generated::view const& seen = m.views[static_cast<std::size_t>(camera)];
+  auto const ray = generated::unproject(seen.camera, u, v);
   if (!ray) { return std::nullopt; }
-  Eigen::Isometry3d const pose = m.pose(i, camera);
+  Eigen::Isometry3d const pose = m.T_world_left(i, m.row_delay(seen.camera, v)) * seen.T_left_this;
   Eigen::Vector3d const start = pose.translation();
   Eigen::Vector3d const direction = pose.linear() * *ray;
   double const best = m.nearest(start, direction);

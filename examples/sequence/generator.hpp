@@ -80,6 +80,9 @@ struct generator_options {
   bool vignetting = true;  ///< image corners 20 % darker
   double baseline = 0;     ///< metres, 0.02 to 0.3; 0 = the rig's own (0.11 and 0.101)
   double exposure_s = 0;   ///< images are means over this time about their stamp, 0 to 0.1
+  /// Of rolling shutters: from the first row to the last one, 0 to 0.1 s. The stamp is the time of
+  /// the image's middle.
+  double readout_s = 0;
   std::vector<time_span> blind;       ///< black images, with noise: a covered lens
   std::vector<time_span> dropped;     ///< frames that write_asl leaves out
   std::vector<fast_turn> fast_turns;  ///< they blur images that have an exposure
@@ -153,8 +156,8 @@ public:
   bool dropped(int i) const;
 
   /// (This and below) hiding_things are not there.
-  /// The surface seen at pixel (u, v) of a camera (0 left, 1 right), in that camera's frame,
-  /// metres; nothing outside the lens' range.
+  /// The surface seen at pixel (u, v) of a camera (0 left, 1 right), in that camera's frame at the
+  /// time of the row, metres; nothing outside the lens' range.
   std::optional<Eigen::Vector3d> surface_point(int i, int camera, double u, double v) const;
   /// z of the surface seen at (u, v) of the left camera, metres; -1 outside the lens' range.
   double depth(int i, double u, double v) const;

@@ -27,6 +27,7 @@ ft::camera_kind odometry_camera_kind(camera_intrinsics const& c) {
 ft::camera_description odometry_camera(camera_intrinsics const& c) {
   auto camera = ft::camera_description::make(odometry_camera_kind(c), {c.fx, c.fy, c.cx, c.cy});
   std::copy(c.distortion.begin(), c.distortion.end(), camera.parameters + 4);
+  camera.readout_s = c.readout_s;
   return camera;
 }
 
@@ -63,8 +64,10 @@ ft::rig_description odometry_rig(sequence const& recording) {
     return ft::rig_description::fisheye_pair(left, odometry_camera(rig.right),
                                              odometry_pose(rig.T_left_right.inverse()));
   }
-  return ft::rig_description::rectified_pair(rig.left.fx, rig.left.fy, rig.left.cx, rig.left.cy,
-                                             baseline);
+  auto pair = ft::rig_description::rectified_pair(rig.left.fx, rig.left.fy, rig.left.cx,
+                                                  rig.left.cy, baseline);
+  pair.camera[0].readout_s = left.readout_s;
+  return pair;
 }
 
 ft::odometry_params odometry_settings(sequence const& recording, int features) {

@@ -74,6 +74,24 @@ double principal_point(double wanted, double focal, double last, double low, dou
   return std::clamp(wanted, smallest, largest);
 }
 
+// How many rows of the source a rectified row is, in the mean over the middle column: rows of
+// rolling shutters are read as those of the source.
+double rows_per_row(pixel_map const& map) {
+  int first = -1;
+  int last = -1;
+  auto const row_of = [&](int v) {
+    return map.y[static_cast<std::size_t>(v) * static_cast<std::size_t>(map.width) +
+                 static_cast<std::size_t>(map.width / 2)];
+  };
+  for (int v = 0; v < map.height; ++v) {
+    if (row_of(v) < 0) { continue; }
+    if (first < 0) { first = v; }
+    last = v;
+  }
+  if (last <= first) { return 1; }
+  return std::max(0.0, static_cast<double>(row_of(last) - row_of(first)) / (last - first));
+}
+
 pixel_map make_map(camera_intrinsics const& raw, Eigen::Matrix3d const& rotation,
                    camera_intrinsics const& rectified) {
   pixel_map map;
@@ -219,12 +237,13 @@ rectifier::rectifier(stereo_rig const& raw) {
   rectified.cy =
       principal_point(0.5 * (raw.left.cy + raw.right.cy), focal, h, inner.top, inner.bottom);
 
+  left_map_ = make_map(raw.left, left_rotation_, rectified);
+  right_map_ = make_map(raw.right, right_rotation_, rectified);
+  rectified.readout_s = std::min(raw.left.readout_s * rows_per_row(left_map_), 0.1);
   rig_.left = rig_.right = rectified;
   rig_.T_left_right.translation() = Eigen::Vector3d(raw.baseline(), 0, 0);
   rig_.T_body_left = raw.T_body_left * Eigen::Isometry3d(left_rotation_.transpose());
   rig_.fps = raw.fps;
-  left_map_ = make_map(raw.left, left_rotation_, rectified);
-  right_map_ = make_map(raw.right, right_rotation_, rectified);
   left_table_ = remap_table(left_map_, raw.left.width, raw.left.height);
   right_table_ = remap_table(right_map_, raw.right.width, raw.right.height);
 }

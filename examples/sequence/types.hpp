@@ -56,6 +56,8 @@ struct camera_intrinsics {
   int height = 0;
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< pixels
   std::vector<double> distortion;         ///< in the order of `model`; empty for a pinhole
+  /// Seconds from the first row's exposure to the last one's, 0 to 0.1; 0 = a global shutter.
+  double readout_s = 0;
 };
 
 /// What the cameras of a recording are.

@@ -76,6 +76,10 @@ void add_tracking(CLI::App& app, arguments& a) {
       ->capture_default_str();
   app.add_option("--max-depth", a.max_depth, "metres; larger depths are taken for none")
       ->capture_default_str();
+  app.add_option("--readout", a.readout_ms,
+                 "ms from the first row of an image to the last one, of all cameras: those have "
+                 "rolling shutters, and stamps are those of the middle row; 0 = global shutters; "
+                 "default: the calibration's (Kalibr's line_delay), or 0");
   app.add_option(
          "--features", a.features,
          "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
@@ -139,6 +143,8 @@ void check_ranges(CLI::App const& app, arguments const& a) {
   };
   double const apart = a.max_time_difference_ms.value_or(0);
   double const offset = a.imu_time_offset_s.value_or(0);
+  double const readout = a.readout_ms.value_or(0);
+  require("--readout", readout >= 0 && readout <= 100, "must be 0 to 100 ms");
   require("--imu-time-offset", offset >= -10 && offset <= 10, "must be -10 to 10 s");
   require("--near", a.near_depth > 0 && a.near_depth <= 1e6, "must be above 0 and at most 1e6");
   require("--corner-ratio", a.corner_ratio >= 0 && a.corner_ratio <= 1, "must be 0 to 1");

@@ -43,6 +43,7 @@ struct arguments {
   int image_bits = 0;                            ///< of 16-bit images; 0 = 16
   double depth_unit = 0;                         ///< metres; 0 = as the recording says
   double min_depth = 0;                          ///< metres
+  std::optional<double> readout_ms;              ///< else as the calibration has it
   double max_depth = std::numeric_limits<double>::infinity();  ///< metres
   bool loops = false;
   bool localize_only = false;

@@ -93,6 +93,9 @@ odometry_setup setup_of(arguments const& a, seq::sequence const& sequence) {
   o.rig = seq::odometry_rig(sequence);
   o.rig.min_depth = a.min_depth;
   o.rig.max_depth = a.max_depth;
+  for (ft::camera_description& camera : o.rig.camera) {
+    if (a.readout_ms) { camera.readout_s = 1e-3 * *a.readout_ms; }
+  }
   o.params = seq::odometry_settings(sequence, a.features);
   ft::odometry_params& p = o.params;
   o.scale_factor = settings.scale_factor.value_or(o.scale_factor);

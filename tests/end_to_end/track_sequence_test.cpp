@@ -709,6 +709,9 @@ INSTANTIATE_TEST_SUITE_P(
         bad_option{"ZeroNear", {"--near", "0"}, "--near"},
         bad_option{"NanNear", {"--near", "nan"}, "--near"},
         bad_option{"InfiniteNear", {"--near", "inf"}, "--near"},
+        bad_option{"NegativeReadout", {"--readout", "-1"}, "--readout"},
+        bad_option{"NanReadout", {"--readout", "nan"}, "--readout"},
+        bad_option{"LongReadout", {"--readout", "101"}, "--readout"},
         bad_option{"Rig", {"--rig", "tripod"}, "--rig"},
         bad_option{"NegativeDifference", {"--max-time-difference", "-1"}, "--max-time-difference"},
         bad_option{"NanDifference", {"--max-time-difference", "nan"}, "--max-time-difference"},
@@ -736,7 +739,7 @@ TEST(Options, HelpNamesThem) {
         "--threads",    "--frames",      "--realtime",  "--out",       "--quiet",
         "--rig",        "--depth-unit",  "--min-depth", "--max-depth", "--max-time-difference",
         "--read-ahead", "--frame",       "--poses",     "--timing",    "--version",
-        "exit status"}) {
+        "--readout",    "exit status"}) {
     EXPECT_TRUE(contains(o.out, option)) << option;
   }
 }

@@ -151,6 +151,28 @@ TEST(calibration_kalibr, mounts_say_where_the_right_camera_is) {
   EXPECT_TRUE(c.rig.T_body_left.isApprox(d.rig.T_body_left, 1e-12));
 }
 
+TEST(calibration_kalibr, a_line_delay_is_in_seconds_or_nanoseconds) {
+  temp_folder const folder;
+  auto const read = [&](std::string const& left, std::string const& right) {
+    auto text = replaced(camchain, "cam0:\n", "cam0:\n" + left);
+    text = replaced(text, "cam1:\n", "cam1:\n" + right);
+    return seq::read_calibration(folder.write("chain.yaml", text));
+  };
+  for (char const* delay : {"  line_delay: 4.0e-05\n", "  line_delay: 40000\n"}) {
+    seq::calibration const c = read(delay, delay);
+    EXPECT_NEAR(c.rig.left.readout_s, 479 * 4e-5, 1e-12);
+    EXPECT_EQ(c.rig.left.readout_s, c.rig.right.readout_s);
+    EXPECT_TRUE(c.warnings.empty());
+  }
+  EXPECT_EQ(read("", "").rig.left.readout_s, 0);
+  EXPECT_EQ(read("  line_delay: 0\n", "").rig.left.readout_s, 0);
+  EXPECT_TRUE(contains(message_of([&] { read("  line_delay: 4.0e-05\n", ""); }),
+                       "those of the right one in 0 s: must be equal"));
+  for (char const* delay : {"  line_delay: 0.01\n", "  line_delay: -1\n", "  line_delay: nan\n"}) {
+    EXPECT_TRUE(contains(message_of([&] { read(delay, delay); }), "line_delay")) << delay;
+  }
+}
+
 TEST(calibration_kalibr, rejects_bad_files) {
   struct bad_case {
     std::string from, to, expected;

@@ -19,6 +19,7 @@
 #include <limits>
 #include <sstream>
 #include <stdexcept>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -689,6 +690,41 @@ TEST(generator, an_exposure_is_the_mean_of_its_instants) {
   expect_equal(exposed.render(100), sharp.render(100));
 }
 
+TEST(generator, a_row_is_seen_at_its_own_time) {
+  auto options = plain(rig_kind::pinhole);
+  options.width = 160;
+  options.height = 101;
+  options.fps = 1000;
+  options.frames = 6801;
+  generator const global(options);
+  options.readout_s = 0.020;
+  generator const rolling(options);
+  EXPECT_EQ(global.rig().left.readout_s, 0);
+  EXPECT_EQ(rolling.rig().right.readout_s, 0.020);
+  constexpr int turning = 6700;  // at about 80 degrees a second
+  auto const seen = rolling.render(turning);
+  double moved = 0;
+  for (int ms : {-10, -5, 0, 3, 10}) {  // rows 0 to 100: 5 a millisecond
+    int const row = 50 + 5 * ms;
+    auto const at_row = global.render(turning + ms);
+    auto const at_middle = global.render(turning);
+    for (auto const& [a, b, c] : {std::tuple(&seen.left, &at_row.left, &at_middle.left),
+                                  std::tuple(&seen.right, &at_row.right, &at_middle.right)}) {
+      int other = 0;
+      for (int x = 0; x < 160; ++x) {
+        // outlines have samples of their own, which depend on the rows beside
+        other += std::abs(a->row(row)[x] - b->row(row)[x]) > 2 ? 1 : 0;
+        moved += std::abs(a->row(row)[x] - c->row(row)[x]) / 160.0;
+      }
+      EXPECT_LT(other, 6) << ms;
+    }
+    EXPECT_NEAR(rolling.depth(turning, 80, row), global.depth(turning + ms, 80, row), 1e-6);
+  }
+  EXPECT_GT(moved, 10);
+  // standing still, it is the same
+  expect_equal(rolling.render(100), global.render(100));
+}
+
 TEST(generator, a_fast_turn_ends_where_it_began) {
   auto options = small();
   options.width = 64;
@@ -788,6 +824,8 @@ TEST(generator, refuses_bad_options) {
   EXPECT_NE(message([](auto& o) { o.gyro_bias = 2; }), "");
   EXPECT_NE(message([](auto& o) { o.accel_bias = -1; }), "");
   EXPECT_NE(message([](auto& o) { o.exposure_s = 0.2; }), "");
+  EXPECT_NE(message([](auto& o) { o.readout_s = 0.2; }), "");
+  EXPECT_NE(message([](auto& o) { o.readout_s = -0.01; }), "");
   EXPECT_EQ(message([](auto& o) {
               o.blind = {{2, 1}};
             }),

@@ -30,6 +30,7 @@ constexpr limits fps_limits{0, 1e5};
 constexpr limits imu_rate_limits{1, 2e4};
 constexpr limits time_offset_limits{-10, 10};  // s
 constexpr limits density_limits{0, 1e3, true};
+constexpr limits readout_limits{0, 0.1};        // s, of all rows
 constexpr limits depth_unit_limits{1e-9, 1e3};  // metres
 
 /// @param text the value as it is written @throws seq::error not finite, or outside the limits

@@ -157,9 +157,10 @@ void find_candidates(std::vector<facing> const& surfaces, tile const& t, std::ve
 // Pixels of one image.
 class tracer {
 public:
-  tracer(view const& v, std::vector<placed_surfaces> const& all)
+  // @param visible for each row, or once for all
+  tracer(view const& v, std::vector<std::vector<facing>> visible)
       : v_(v),
-        visible_(face(all)),
+        visible_(std::move(visible)),
         w_(v.camera.width),
         h_(v.camera.height),
         out_(v.rays.size(), 0.0f),
@@ -188,10 +189,13 @@ private:
     }
     return here;
   }
+  std::vector<facing> const& visible(int y) const {
+    return visible_[visible_.size() > 1 ? static_cast<std::size_t>(y) : 0];
+  }
   void trace_centres(tile const& t) {
-    find_candidates(visible_, t, candidates_);
     for (int y = t.y0; y < t.y1; ++y) {
-      auto const found = nearest(visible_, candidates_, row_of(t, y));
+      if (y == t.y0 || visible_.size() > 1) { find_candidates(visible(y), t, candidates_); }
+      auto const found = nearest(visible(y), candidates_, row_of(t, y));
       for (int x = t.x0; x < t.x1; x += 4) { shade_four(found, x, y, t); }
     }
   }
@@ -209,7 +213,7 @@ private:
   }
   void shade_four(hits<tile_side> const& found, int x, int y, tile const& t) {
     auto const first = static_cast<std::size_t>(x - t.x0);
-    four const grey = shade(visible_, found, first, [&](facing const& f, std::size_t k) {
+    four const grey = shade(visible(y), found, first, [&](facing const& f, std::size_t k) {
       int const u = x + static_cast<int>(k);
       return measure(f, v_.rays[at(u, y)], neighbour(u, y, 1, 0), neighbour(u, y, 0, 1));
     });
@@ -226,8 +230,8 @@ private:
       for (int x = t.x0; x < t.x1; ++x) {
         if (!is_outline(x, y)) { continue; }
         if (!ready) {
-          find_candidates(visible_, t, candidates_);
-          ready = true;
+          find_candidates(visible(y), t, candidates_);
+          ready = visible_.size() == 1;
         }
         sample_four(x, y);
       }
@@ -265,8 +269,8 @@ private:
       around.y[k] = shifted.y();
       around.z[k] = shifted.z();
     }
-    auto const found = nearest(visible_, candidates_, around);
-    four const grey = shade(visible_, found, 0, [&](facing const& f, std::size_t) {
+    auto const found = nearest(visible(y), candidates_, around);
+    four const grey = shade(visible(y), found, 0, [&](facing const& f, std::size_t) {
       return measure(f, ray, right, down);
     });
     float sum = 0;
@@ -280,7 +284,7 @@ private:
   }
 
   view const& v_;
-  std::vector<facing> visible_;
+  std::vector<std::vector<facing>> visible_;
   int w_, h_;
   std::vector<float> out_;
   std::vector<std::int16_t> ids_;  // of the surface that a pixel's centre sees
@@ -307,7 +311,14 @@ std::vector<float> normal_table() {
 }
 
 std::vector<float> trace(view const& v, std::vector<placed_surfaces> const& all) {
-  return tracer(v, all).run();
+  return tracer(v, {face(all)}).run();
+}
+
+std::vector<float> trace_rows(view const& v,
+                              std::function<std::vector<placed_surfaces>(int row)> const& at) {
+  std::vector<std::vector<facing>> rows;
+  for (int y = 0; y < v.camera.height; ++y) { rows.push_back(face(at(y))); }
+  return tracer(v, std::move(rows)).run();
 }
 
 image expose(view const& v, std::vector<float> const& radiance, float gain, float sigma,

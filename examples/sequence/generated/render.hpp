@@ -5,6 +5,7 @@
 #include <Eigen/Geometry>
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "examples/sequence/generated/room.hpp"
@@ -24,6 +25,10 @@ struct placed_surfaces {
 
 /// Grey level of the surface that each pixel sees, 0 outside the lens' range.
 std::vector<float> trace(view const& v, std::vector<placed_surfaces> const& all);
+/// The same of rows that are seen at times of their own.
+/// @param at where the surfaces are for a row
+std::vector<float> trace_rows(view const& v,
+                              std::function<std::vector<placed_surfaces>(int row)> const& at);
 
 /// An image of what was traced. @param sigma of the noise, grey levels @param normal normal_table()
 image expose(view const& v, std::vector<float> const& radiance, float gain, float sigma,

@@ -88,6 +88,7 @@ generator_options complete(generator_options o) {
   check("gyro_bias", o.gyro_bias, 0.0, 1.0);
   check("accel_bias", o.accel_bias, 0.0, 10.0);
   check("exposure_s", o.exposure_s, 0.0, 0.1);
+  check("readout_s", o.readout_s, 0.0, 0.1);
   for (auto const& s : o.blind) { check_span("blind", s); }
   for (auto const& s : o.dropped) { check_span("dropped", s); }
   for (auto const& f : o.fast_turns) {
@@ -134,6 +135,7 @@ stereo_rig make_rig(generator_options const& o) {
     c.cx = 0.5 * (o.width - 1) + shift_x;
     c.cy = 0.5 * (o.height - 1) + shift_y;
     c.distortion = std::move(distortion);
+    c.readout_s = o.readout_s;
     return c;
   };
   if (o.rig == rig_kind::pinhole) {

@@ -91,6 +91,10 @@ def parser() -> argparse.ArgumentParser:
                          help="metres per unit of depth images; default: the calibration's, or 0.0002 (TUM)")
     command.add_argument("--min-depth", type=number(0, 1e6), default=0.0, help="metres; smaller depths are taken for none")
     command.add_argument("--max-depth", type=number(1e-9, float("inf")), help="metres; larger depths are taken for none")
+    command.add_argument("--readout", type=number(0, 100), metavar="MS",
+                         help="from the first row of an image to the last one, of all cameras: those have rolling shutters, and "
+                              "stamps are those of the middle row; 0 = global shutters; default: the calibration's (Kalibr's "
+                              "line_delay), or 0")
     command.add_argument("--features", type=count(1, 1 << 20), default=0,
                          help="keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")
     command.add_argument("--near", type=number(1e-6, 1e6),

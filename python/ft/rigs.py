@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rigs of cameras, and the IMU on them. Lengths are in metres, parameters of cameras in pixels. Where fx, fy, cx, cy stand,
-a matrix (3, 3) does, too."""
+a matrix (3, 3) does, too.
+
+`readout_s` of a rig or RigCamera is for rolling shutters: seconds from the exposure of the first row to that of the last one,
+0 to 0.1; 0 = a global shutter. Both cameras of a pair have it. Times of frames are those of the middle row, and so are poses."""
 
 from __future__ import annotations
 
@@ -45,11 +48,12 @@ def _values(camera: Camera, name: str = "the camera", models: tuple[type, ...] =
 def _plain(kind: str, left: Sequence[float] = (), right: Sequence[float] = (), wanted: Sequence[float] = (),
            T_right_left: ArrayLike = IDENTITY, baseline: float = 0.0,
            depth: tuple[Optional[float], float, Optional[float]] = (None, 0.0, None), raw: tuple[int, int] = (0, 0),
-           cameras: Iterable[dict[str, object]] = ()) -> dict[str, object]:
+           cameras: Iterable[dict[str, object]] = (), readout_s: float = 0.0) -> dict[str, object]:
     return {
         "kind": kind, "left": left, "right": right, "wanted": wanted, "T_right_left": _matrix(T_right_left, "T_right_left"),
         "baseline": baseline, "depth_scale": depth[0], "min_depth": depth[1], "max_depth": depth[2],
         "raw_width": raw[0], "raw_height": raw[1], "cameras": list(cameras),
+        "readout_s": readout_s,
     }
 
 
@@ -59,9 +63,10 @@ class RectifiedPair:
 
     camera: Camera
     baseline: float
+    readout_s: float = 0.0
 
     def _plain(self) -> dict[str, object]:
-        return _plain("rectified", _values(self.camera), baseline=self.baseline)
+        return _plain("rectified", _values(self.camera), baseline=self.baseline, readout_s=self.readout_s)
 
 
 @dataclass
@@ -75,12 +80,13 @@ class DistortedPair:
     T_right_left: ArrayLike
     wanted: Camera
     size: tuple[int, int]
+    readout_s: float = 0.0
 
     def _plain(self) -> dict[str, object]:
         models = (_ft.RadTan, _ft.Pinhole)
         return _plain("distorted", _values(self.left, "the left camera", models),
                       _values(self.right, "the right camera", models), _values(self.wanted, "wanted"),
-                      self.T_right_left, raw=_two(self.size, "size"))
+                      self.T_right_left, raw=_two(self.size, "size"), readout_s=self.readout_s)
 
 
 @dataclass
@@ -91,11 +97,12 @@ class FisheyePair:
     left: Camera
     right: Camera
     T_right_left: ArrayLike
+    readout_s: float = 0.0
 
     def _plain(self) -> dict[str, object]:
         models = (_ft.KannalaBrandt,)
         return _plain("fisheye", _values(self.left, "the left camera", models), _values(self.right, "the right camera", models),
-                      T_right_left=self.T_right_left)
+                      T_right_left=self.T_right_left, readout_s=self.readout_s)
 
 
 @dataclass
@@ -110,10 +117,11 @@ class RgbdCamera:
     depth_scale: Optional[float] = None
     min_depth: float = 0.0
     max_depth: Optional[float] = None
+    readout_s: float = 0.0
 
     def _plain(self) -> dict[str, object]:
         return _plain("rgbd", _values(self.camera, models=(_ft.Pinhole, _ft.RadTan)), baseline=self.baseline,
-                      depth=(self.depth_scale, self.min_depth, self.max_depth))
+                      depth=(self.depth_scale, self.min_depth, self.max_depth), readout_s=self.readout_s)
 
 
 @dataclass
@@ -123,11 +131,12 @@ class MonocularCamera:
     first points. With an IMU the map gets metres once the scale is known, `metric` is True from then on."""
 
     camera: Camera
+    readout_s: float = 0.0
 
     def _plain(self) -> dict[str, object]:
         fisheye = isinstance(self.camera, _ft.KannalaBrandt)
         values = _values(self.camera, models=(_ft.Pinhole, _ft.KannalaBrandt))
-        return _plain("monocular_fisheye" if fisheye else "monocular", values)
+        return _plain("monocular_fisheye" if fisheye else "monocular", values, readout_s=self.readout_s)
 
 
 @dataclass
@@ -144,6 +153,7 @@ class RigCamera:
     T_camera_body: ArrayLike = field(default_factory=lambda: np.eye(4))
     right: Optional[int] = None
     has_depth: bool = False
+    readout_s: float = 0.0
 
     def _plain(self) -> dict[str, object]:
         if self.has_depth and self.right is not None:
@@ -157,7 +167,7 @@ class RigCamera:
         return {"model": next((name for m, name in models.items() if isinstance(self.camera, m)), "pinhole"),
                 "camera": _values(self.camera, models=tuple(models)), "baseline": baseline,
                 "T_camera_body": _matrix(self.T_camera_body, "T_camera_body"), "right": self.right,
-                "has_depth": bool(self.has_depth)}
+                "has_depth": bool(self.has_depth), "readout_s": self.readout_s}
 
 
 @dataclass

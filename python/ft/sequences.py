@@ -48,6 +48,7 @@ class _FileCamera(TypedDict):
     model: str
     camera: list[float]
     T_camera_body: NDArray[np.float64]
+    readout_s: float
     right: Optional[int]
     has_depth: bool
 
@@ -59,6 +60,7 @@ class _FileRig(TypedDict):
     right: list[float]
     T_right_left: NDArray[np.float64]
     baseline: float
+    readout_s: float
     depth_unit: float
     width: int
     height: int
@@ -180,16 +182,17 @@ class Sequence:
         if rig["cameras"]:
             cameras = [getattr(_ft, c["model"])(c["camera"]) for c in rig["cameras"]]
             left = cameras[0]
-            self.rig = MultiRig([RigCamera(camera, 0.0, c["T_camera_body"], c["right"], c["has_depth"])
+            self.rig = MultiRig([RigCamera(camera, 0.0, c["T_camera_body"], c["right"], c["has_depth"],
+                                           c["readout_s"])
                                  for camera, c in zip(cameras, rig["cameras"])], rig["depth_unit"] or None, min_depth, max_depth)
         elif self.kind == "mono":
-            self.rig = MonocularCamera(left)
+            self.rig = MonocularCamera(left, rig["readout_s"])
         elif self.kind == "rgbd":
-            self.rig = RgbdCamera(left, rig["baseline"], rig["depth_unit"], min_depth, max_depth)
+            self.rig = RgbdCamera(left, rig["baseline"], rig["depth_unit"], min_depth, max_depth, rig["readout_s"])
         elif rig["fisheye"]:
-            self.rig = FisheyePair(rig["left"], rig["right"], rig["T_right_left"])
+            self.rig = FisheyePair(rig["left"], rig["right"], rig["T_right_left"], rig["readout_s"])
         else:
-            self.rig = RectifiedPair(left, rig["baseline"])
+            self.rig = RectifiedPair(left, rig["baseline"], rig["readout_s"])
         self.left_camera = left
         self.warnings = list(files.warnings)
         self.name, self.layout, self.settings = files.name, files.layout, cast(Settings, files.settings)

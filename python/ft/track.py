@@ -56,6 +56,9 @@ def open_sequence(a: argparse.Namespace) -> ft.Sequence:
                                     image_bits=a.image_bits, masks=a.mask)
     if a.imu_time_offset is not None and sequence.imu is not None:
         sequence.imu.time_offset_s = a.imu_time_offset
+    if a.readout is not None:
+        for part in sequence.rig.cameras if isinstance(sequence.rig, ft.MultiRig) else [sequence.rig]:
+            part.readout_s = 1e-3 * a.readout
     for text in sequence.warnings:
         print(f"ft: warning: {text}", file=sys.stderr)
     if a.rig == "fisheye" and not isinstance(sequence.rig, ft.FisheyePair):

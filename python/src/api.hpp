@@ -75,6 +75,7 @@ struct rig_camera {
   double baseline = 0;
   int right = -1;          ///< number of the right camera of its pair; -1 = none
   bool has_depth = false;  ///< a depth image; `baseline` is that of its virtual pair
+  double readout_s = 0;    ///< as ft::camera_description::readout_s
   pose T_camera_body{};
 };
 struct rig {
@@ -84,6 +85,7 @@ struct rig {
   std::vector<double> wanted;       ///< distorted: fx, fy, cx, cy of both rectified cameras
   pose T_right_left{};
   double baseline = 0;
+  double readout_s = 0;                 ///< of all cameras; of a multi rig each has its own
   std::optional<double> depth_scale;    ///< rgbd, multi: metres per unit
   double min_depth = 0, max_depth = 0;  ///< rgbd, multi, metres
   int raw_width = 0, raw_height = 0;    ///< distorted

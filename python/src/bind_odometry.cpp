@@ -51,6 +51,7 @@ ft::camera_description camera_of(rig_camera const& given) {
   c.baseline = given.baseline;
   c.right = given.right;
   c.has_depth_image = given.has_depth;
+  c.readout_s = given.readout_s;
   c.T_camera_body = to_ft(given.T_camera_body);
   return c;
 }
@@ -65,9 +66,7 @@ ft::rig_description pair_of(rig const& r, ft::rig_kind of, ft::camera_kind kind)
   return rig;
 }
 
-}  // namespace
-
-ft::rig_description description_of(rig const& r) {
+ft::rig_description without_readout(rig const& r) {
   using ft::camera_kind;
   if (r.kind == "rectified") {
     ft::rig_description rig;
@@ -109,6 +108,16 @@ ft::rig_description description_of(rig const& r) {
                                        r.depth_scale.value_or(0));
   rig.min_depth = r.min_depth;
   rig.max_depth = r.max_depth;
+  return rig;
+}
+
+}  // namespace
+
+ft::rig_description description_of(rig const& r) {
+  ft::rig_description rig = without_readout(r);
+  for (int c = 0; c < rig.cameras && rig.kind != ft::rig_kind::multi; ++c) {
+    rig.camera[c].readout_s = r.readout_s;
+  }
   return rig;
 }
 

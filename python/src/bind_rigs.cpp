@@ -27,12 +27,14 @@ rig rig_of(nb::handle given) {
     nb::object const right = h["right"];
     if (!right.is_none()) { c.right = whole(right, "right", 0); }
     c.baseline = number(h["baseline"], "baseline");
+    c.readout_s = number(h["readout_s"], "readout_s");
     c.has_depth = nb::cast<bool>(h["has_depth"]);
     c.T_camera_body = kept.matrix(h["T_camera_body"], "T_camera_body");
     r.cameras.push_back(c);
   }
   r.T_right_left = kept.matrix(d["T_right_left"], "T_right_left");
   r.baseline = number(d["baseline"], "baseline");
+  r.readout_s = number(d["readout_s"], "readout_s");
   nb::object const scale = d["depth_scale"];
   if (!scale.is_none()) {
     r.depth_scale = number(scale, "depth_scale");

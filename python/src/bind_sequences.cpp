@@ -63,6 +63,7 @@ nb::list cameras_of(seq::stereo_rig const& rig) {
     d["camera"] = values_of(c.camera);
     d["T_camera_body"] = to_numpy(plain(c.T_left_this.inverse()));
     d["has_depth"] = c.has_depth;
+    d["readout_s"] = c.camera.readout_s;
     d["right"] = c.right < 0 ? nb::object(nb::none()) : nb::object(nb::int_(c.right));
     all.append(d);
   }
@@ -78,6 +79,7 @@ nb::dict rig_dict(seq::sequence const& s) {
   d["right"] = values_of(r.right);
   d["T_right_left"] = to_numpy(plain(r.T_left_right.inverse()));
   d["baseline"] = r.baseline();
+  d["readout_s"] = r.left.readout_s;
   d["depth_unit"] = s.depth_unit();
   d["width"] = r.left.width;
   d["height"] = r.left.height;

@@ -293,10 +293,39 @@ def test_mistakes_are_named_and_change_nothing(walk):
     lambda: ft.Odometry(ft.RectifiedPair(CAMERA, 0.1), WIDTH, HEIGHT, batch=0),
     lambda: ft.Odometry(ft.FisheyePair(CAMERA, CAMERA, 2 * np.eye(4)), WIDTH, HEIGHT),
     lambda: ft.Odometry(ft.RgbdCamera(CAMERA, depth_scale=float("nan")), WIDTH, HEIGHT),
+    lambda: ft.Odometry(ft.RectifiedPair(CAMERA, 0.1, readout_s=-0.01), WIDTH, HEIGHT),
+    lambda: ft.Odometry(ft.MonocularCamera(CAMERA, readout_s=0.2), WIDTH, HEIGHT),
+    lambda: ft.Odometry(ft.MultiRig([ft.RigCamera(CAMERA, 0.1, readout_s=float("nan"))]), WIDTH, HEIGHT),
+    lambda: ft.Odometry(ft.RgbdCamera(CAMERA, readout_s="20 ms"), WIDTH, HEIGHT),
 ])
 def test_rigs_that_cannot_be_are_refused(make):
     with pytest.raises(ValueError):
         make()
+
+
+def rolling(walk, i, readout_s):
+    """Both images of a walk of 0.4 m/s to the right and 0.1 m/s down whose rows are read one after the other. A few rows have
+    one time."""
+    images = np.zeros((2, HEIGHT, WIDTH), np.uint8)
+    for first in range(0, HEIGHT, 4):
+        late = readout_s * ((first + 1.5) / (HEIGHT - 1) - 0.5) / 0.05  # frames
+        images[:, first:first + 4] = np.stack(walk.images_at(i + late, (0, 0)))[:, first:first + 4]
+    return (*images, 50_000_000 * i)
+
+
+def test_rows_that_are_read_one_after_the_other(walk):
+    def followed(readout_s):
+        odometry = ft.Odometry(ft.RectifiedPair(CAMERA, BASELINE, readout_s), WIDTH, HEIGHT, features=400, device="host")
+        poses = [odometry.track(*rolling(walk, i, 0.04)) for i in range(12)]
+        assert all(pose.tracked for pose in poses)
+        return odometry.keypoints()
+
+    treated, plain = followed(0.04), followed(0.0)
+    # The lowest rows are read 16 to 20 ms late, and show what is 1.2 m away 1.2 to 1.5 pixels too far left.
+    assert len(treated["x"]) == len(plain["x"])
+    shift = treated["x"] - plain["x"]
+    near = (plain["depth"] > 0) & (plain["depth"] < 2) & (plain["y"] > 0.9 * HEIGHT)
+    assert near.any() and np.allclose(shift[near], 0.02 * 0.4 * CAMERA[0] / NEAR * 0.9, atol=0.5)
 
 
 def test_two_threads_have_a_tracker_each(walk):

@@ -8,7 +8,8 @@
 //     loop_cases trials COUNT JOBS [KIND]    of kinds 0, 1 a third each, of 2, 3 a sixth; or of one
 //     loop_cases starts COUNT JOBS [SEED]    the map grows; of seeds SEED, SEED + 1, ...
 //     loop_cases localize COUNT JOBS [SEED]  the map stays as it is
-//     loop_cases flat FRAMES MS KEYFRAMES... a frame each MS milliseconds; 0: without loops
+//     loop_cases alike COUNT JOBS [SEED]     both, in stretches that look the same
+//     same loop_cases flat FRAMES MS KEYFRAMES... a frame each MS milliseconds; 0: without loops
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
@@ -35,7 +36,8 @@ struct executor_maker {
 
 int usage() {
   std::fputs(
-      "loop_cases check\nloop_cases trials|starts|localize COUNT JOBS\nloop_cases flat FRAMES MS "
+      "loop_cases check\nloop_cases trials|starts|localize|alike COUNT JOBS\nloop_cases flat "
+      "FRAMES MS "
       "KEYFRAMES...\n",
       stderr);
   return EXIT_FAILURE;
@@ -49,7 +51,8 @@ int main(int argc, char** argv) {
     if (what == "check") {
       bool const right = loop_cases::run_trials(6, 2, executor_maker()) == 0 &&
                          loop_cases::run_starts(2, 2, executor_maker(), false) == 0 &&
-                         loop_cases::run_starts(2, 2, executor_maker(), true) == 0;
+                         loop_cases::run_starts(2, 2, executor_maker(), true) == 0 &&
+                         loop_cases::run_alike_starts(2, 2, executor_maker(), true) == 0;
       return right ? EXIT_SUCCESS : EXIT_FAILURE;
     }
     if (argc < 4) { return usage(); }
@@ -59,6 +62,11 @@ int main(int argc, char** argv) {
     } else if ((what == "starts" || what == "localize") && argc <= 5) {
       auto const seed = static_cast<unsigned>(argc == 5 ? std::atoi(argv[4]) : 0);
       loop_cases::run_starts(count, jobs, executor_maker(), what == "localize", seed);
+    } else if (what == "alike" && argc <= 5) {
+      auto const seed = static_cast<unsigned>(argc == 5 ? std::atoi(argv[4]) : 0);
+      for (bool const localize_only : {false, true}) {
+        loop_cases::run_alike_starts(count, jobs, executor_maker(), localize_only, seed);
+      }
     } else if (what == "flat" && argc > 4) {
       for (int i = 4; i < argc; ++i) {
         soak_scene::on_backend([&](auto const& exec) {

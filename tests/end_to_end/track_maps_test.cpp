@@ -66,6 +66,13 @@ double largest_error(std::string const& out, std::string const& mapped_out) {
   return largest;
 }
 
+/// From where a run begins to where the mapped one ended, metres.
+double far_from_end(std::string const& out, std::string const& mapped_out) {
+  auto const begin = seq::read_tum(out + "/groundtruth.txt").front();
+  auto const end = seq::read_tum(mapped_out + "/groundtruth.txt").back();
+  return (begin.T_world_camera.translation() - end.T_world_camera.translation()).norm();
+}
+
 /// What a viewer gets: the path of the map and that of the run, and the loops between them.
 void expect_corrected(std::string const& record, json const& edges) {
   json last;
@@ -75,7 +82,7 @@ void expect_corrected(std::string const& record, json const& edges) {
   }
   ASSERT_TRUE(last.is_object());
   EXPECT_EQ(last.at("path").size(), 2u);
-  EXPECT_GT(edges.size(), 1u);
+  EXPECT_GE(edges.size(), 1u);
   EXPECT_EQ(last.at("loops").size(), edges.size());
   for (json const& loop : last.at("loops")) {
     Eigen::Vector3d ends[2];
@@ -102,8 +109,9 @@ void expect_found(std::string const& mapped, std::string const& later, strings c
   json const summary = summary_of(folder.path("second"));
   ASSERT_TRUE(summary.at("loaded_map").at("found_after").is_number()) << second;
   int const after = summary.at("loaded_map").at("found_after");
-  EXPECT_GT(after, 1) << "found where the map was saved: this tests nothing";
-  EXPECT_LE(after, 6);
+  EXPECT_LE(after, 3);
+  EXPECT_GT(far_from_end(folder.path("second"), folder.path("first")), 1)
+      << "found where the map was saved: this tests nothing";
   EXPECT_TRUE(contains(second.out, "found after " + std::to_string(after) + " frames"));
   EXPECT_GE(summary.at("tracked").get<int>(), frames - 2);
   for (auto const& w : summary.at("warnings")) {

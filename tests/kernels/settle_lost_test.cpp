@@ -165,6 +165,27 @@ TYPED_TEST(SettleLost, ACameraThatIsFoundIsTracked) {
   for (int b = 0; b < 2; ++b) { EXPECT_EQ(v.begins[b], ft::keyframe_order::none); }
 }
 
+TYPED_TEST(SettleLost, AMapBeginsWhereThePlaceIsKnown) {
+  TypeParam backend;
+  int const enough = ft::tracking_rules{}.min_recovered;
+  room<typename TypeParam::exec_type> r(
+      backend.exec, {{outcome::begins_map, enough, 0, 1, 1}, {outcome::begins_map, enough - 1, 0}});
+  arrays const& v = r.data.host;
+  EXPECT_EQ(v.state.tracks[0].state, ft::tracking_state::tracking);
+  EXPECT_EQ(v.state.tracks[0].maps, 2);
+  EXPECT_EQ(v.state.tracks[0].keyframes, 5);
+  EXPECT_EQ(v.state.tracks[0].keyframe.t.x, 5);
+  EXPECT_EQ(v.state.T_cw[0].t.x, 5);
+  EXPECT_EQ(v.inliers[0], enough);
+  EXPECT_EQ(v.begins[0], ft::keyframe_order::begin_map);
+  EXPECT_EQ(v.state.order[0], ft::keyframe_order::begin_map);
+  EXPECT_EQ(v.state.gather[0], 0);
+  EXPECT_EQ(v.state.tracks[1].state, ft::tracking_state::recovering);
+  EXPECT_EQ(v.state.tracks[1].maps, 1);
+  EXPECT_EQ(v.state.T_cw[1].t.x, 1);
+  EXPECT_EQ(v.begins[1], ft::keyframe_order::none);
+}
+
 TYPED_TEST(SettleLost, ANewMapBeginsWhenPatienceIsAtItsEnd) {
   TypeParam backend;
   int const patience = ft::tracking_rules{}.patience;

@@ -211,6 +211,36 @@ TYPED_TEST(LocalizeAnywhere, BothExecutorsHaveTheSameBits) {
   }
 }
 
+// The path of the map was corrected, by more at its end than where the ring of keyframes begins. A
+// frame that became a keyframe is where that is.
+TYPED_TEST(LocalizeAnywhere, TheCorrectionIsThatOfThePlaceInTheMap) {
+  TypeParam backend;
+  using odometry = ft::odometry<typename TypeParam::exec_type>;
+  auto const rig = test::room::rig();
+  odometry odo(backend.exec, rig, params(true), 1, ft::loops{});
+  load(odo, mapped(backend.exec, rig));
+  auto const placed = odo.placed_keyframes();
+  auto const apart = [](ft::rigid<double> const& a, ft::rigid<double> const& b) {
+    auto const d = (a.inverse() * b).t;
+    return std::sqrt(ft::dot(d, d));
+  };
+  auto const newest = placed.back().T_world_camera * placed.back().T_odom_camera.inverse();
+  constexpr double exact = 0.006;
+  int elsewhere = 0;
+  ASSERT_GT(placed.size(), 12u);
+  for (std::size_t k = placed.size() - 12; k < placed.size(); ++k) {
+    load(odo, mapped(backend.exec, rig));
+    auto const frame = static_cast<int>((placed[k].time_ns / period - 1) % lap);
+    ft::tracking const told = track(odo, walk(rig)[at(2 * frame)], period);
+    ASSERT_EQ(told.state, ft::tracking_state::tracking) << k;
+    EXPECT_LT(apart(told.T_world_camera, placed[k].T_world_camera), exact) << k;
+    EXPECT_LT(apart(told.T_world_camera, told.T_world_odom * told.T_odom_camera), 1e-9) << k;
+    bool const tells = apart(newest * told.T_odom_camera, placed[k].T_world_camera) > exact;
+    elsewhere += tells ? 1 : 0;
+  }
+  EXPECT_GT(elsewhere, 3) << "the correction is the same everywhere: this tests nothing";
+}
+
 // With too few votes for a place to be recognised by descriptors.
 TYPED_TEST(LocalizeAnywhere, APoseThatIsGivenIsTakenFirst) {
   TypeParam backend;

@@ -381,6 +381,33 @@ void expect_no_drift_when_thinned(loop_path path) {
   EXPECT_LT(misfit(path), before + 1e-9);
 }
 
+// The keyframe beside which a camera was found may be none of those that stay.
+TEST(LoopPath, WhatFollowsIsTiedToTheSamePlaceAfterItWasThinned) {
+  constexpr int n = 64;
+  for (int const beside : {0, 20, 21, 40, n - 1}) {
+    loop_path path = drifting_lap(n, 0);
+    path.beside = beside;
+    auto const place = path.at(beside).time_ns;
+    path.thin([](int) {});
+    ASSERT_LT(path.size(), n);
+    ASSERT_GE(path.beside, 0);
+    EXPECT_LE(path.at(path.beside).time_ns, place);
+    EXPECT_GE(path.at(path.beside).time_ns, place - 1000) << "the one before it, at most";
+    ft::detail::path_keyframe k;
+    k.map = 2;
+    k.T_world_camera = with_scale(truth(beside, n));
+    auto const from = static_cast<std::size_t>(path.beside);
+    path.tie(50, k);
+    path.keyframes.push_back(k);
+    EXPECT_EQ(path.beside, -1);
+    EXPECT_EQ(k.part, 1);
+    path_loop const& l = path.loops.back();
+    EXPECT_EQ(l.to, path.size() - 1);
+    auto const off = (path.keyframes[from].T_world_camera * l.T_from_to).t - k.T_world_camera.t;
+    EXPECT_LT(std::sqrt(ft::dot(off, off)), 1e-9);
+  }
+}
+
 TEST(LoopPath, ThinnedOutOftenItsLoopsHaveNoDrift) {
   constexpr int n = 100;
   loop_path path = drifting_lap(n, 0.01);

@@ -277,7 +277,6 @@ TYPED_TEST(OdometryLoops, ASavedMapIsFoundFromAnywhere) {
   EXPECT_EQ(told.maps, 2) << "found near the newest keyframe: this tests nothing";
   EXPECT_GT(closed, 0);
   EXPECT_LT(off(told.T_world_camera, to - 1), 0.05);
-  EXPECT_GT(off(told.T_odom_camera, to - 1), 0.3);
   EXPECT_EQ(told.map_id, 1) << "joined with the loaded one";
   auto const placed = second.placed_keyframes();
   ASSERT_GT(placed.size(), before.size());
@@ -316,10 +315,11 @@ TYPED_TEST(OdometryLoops, ACameraInAnotherRoomIsNotFound) {
   odometry odo(backend.exec, rig, params(), 1, ft::loops{});
   std::istringstream file(saved_after(odo, rig, lap / 2));
   odo.load_map(file);
-  constexpr int looked_for = 29;  // each frame is
-  auto const other = test::room::make_walk(rig, 1, looked_for);
+  constexpr int given = 29;
+  int const looked_for = given + 1 - params().rules.patience;  // each frame of the new map is
+  auto const other = test::room::make_walk(rig, 1, given);
   ft::tracking told;
-  for (int i = 0; i < looked_for; ++i) {
+  for (int i = 0; i < given; ++i) {
     auto const& f = other[at(i)];
     told = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
     EXPECT_EQ(told.loops_closed, 0) << i;

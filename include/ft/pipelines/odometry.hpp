@@ -312,12 +312,14 @@ public:
   void save_map(std::ostream& to, int b = 0) const { snapshot_map(b).write(to); }
   /// Replaces the map of camera pair b by a saved one. The camera is searched for in it, near its
   /// newest keyframes, as one that was lost; predict() says where else. With ft::loops it is found
-  /// anywhere: from the first frame that is not found there it has a map of its own, until two of
-  /// its frames are recognised. Up to 30 frames are looked for, one after the other, which each
-  /// wait for the search of the one before; then keyframes alone. With localize_only and ft::loops
-  /// each frame that is not found is looked up, without a map of its own. Any time stamp may
-  /// follow. What was known about an IMU is forgotten. Reads no more of the stream than the file's
-  /// head says. Waits, and allocates.
+  /// anywhere: a frame is looked up among the kept keyframes, for which it waits, and searched for
+  /// near the newest ones only where it looks like none; it is tracked in the map, whose keyframes
+  /// around it become the newest ones, or in a new one that is joined with it. After
+  /// tracking_rules::patience frames it begins a map of its own, until two of its frames are
+  /// recognised: up to 30 are looked for, one after the other, which each wait for the search of
+  /// the one before; then keyframes alone. With localize_only each frame that is not found is
+  /// looked up, without a map of its own. Any time stamp may follow. What was known about an IMU is
+  /// forgotten. Reads no more of the stream than the file's head says. Waits, and allocates.
   /// @throws error, with nothing changed, for a file that is truncated or damaged, has numbers out
   ///   of range or, where the stream can be positioned, bytes after its end, and naming what
   ///   differs for one that was made with another rig, image size, pyramid or capacity, or by

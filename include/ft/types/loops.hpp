@@ -48,7 +48,8 @@ struct loop_params {
 /// place of those that were verified, that more than half as many matches agree with, contradicts
 /// it. A map that a lost camera begins is
 /// joined with an older one where two of its keyframes say the same; that of a camera that is not
-/// found in a loaded map where two of its first frames do. Then the poses of all keyframes are
+/// found in a loaded map where two of its first frames do. Before, each frame of such a camera is
+/// looked up itself. Then the poses of all keyframes are
 /// optimised, with an IMU that knew gravity before the first loop in heading and position alone.
 /// One camera alone has a unit of length that drifts: its poses are optimised with a scale each,
 /// which the depths that both keyframes know of their common points tell. With an IMU its keyframes

@@ -192,7 +192,8 @@ struct downloaded_point {
 
 /// A keyframe in host memory.
 struct downloaded_keyframe {
-  int number;  ///< unique, ascending with time
+  int number;  ///< unique, ascending with time; of a loaded map that goes on the nearer ones to
+               ///< where it did are the newer ones
   std::int64_t time_ns;
   rigid<double> T_world_camera;  ///< with ft::loops T_odom_camera
 };
@@ -200,7 +201,7 @@ struct downloaded_keyframe {
 /// The map of one camera pair in host memory.
 struct odometry_map {
   std::vector<downloaded_point> points;        ///< in the order of their slots
-  std::vector<downloaded_keyframe> keyframes;  ///< oldest first: the trajectory of the map
+  std::vector<downloaded_keyframe> keyframes;  ///< by number: the trajectory of the map
 };
 
 /// A map as it was when odometry::snapshot_map() took it, in host memory: with it the odometry goes

@@ -13,6 +13,7 @@
 
 #include "tests/end_to_end/loops/jobs.hpp"
 #include "tests/end_to_end/loops/scenes.hpp"
+#include "tests/end_to_end/loops/trials.hpp"
 
 namespace loop_cases {
 
@@ -152,6 +153,52 @@ int run_starts(int count, int jobs, MakeExec const& make_exec, bool localize_onl
       "\"wrong\": %d, \"median_mm\": %.2f, \"median_in_map_mm\": %.2f}\n",
       count, found, exact, exact_in_map, wrong, median_mm(off), median_mm(in_map));
   return count - found + wrong;
+}
+
+/// Starts in one of two stretches that are the same, after both were mapped: which one it is cannot
+/// be told. Prints a row. @return starts at the wrong one
+template <typename MakeExec>
+int run_alike_starts(int count, int jobs, MakeExec const& make_exec, bool localize_only,
+                     unsigned first_seed = 0) {
+  std::vector<start_result> results(static_cast<std::size_t>(count));
+  in_parallel(count, jobs, make_exec, [&](auto const& exec, int i) {
+    unsigned const seed = first_seed + static_cast<unsigned>(i);
+    trial const t = make_trial(trial_kind::lost_alike, seed);
+    ft::odometry_params p = small_map(512);
+    std::stringstream file;
+    {
+      ft::odometry maps(exec, small_pair.rig(), p, 1, ft::loops{});
+      for (int n = 0; n < t.black_from; ++n) {
+        auto const f = t.scene.see(small_pair, t.places[static_cast<std::size_t>(n)],
+                                   t.scene.seed + static_cast<unsigned>(n));
+        maps.track({small_pair.view(f.left), small_pair.view(f.right)}, (n + 1) * period_ns);
+      }
+      maps.save_map(file);
+    }
+    p.rules.localize_only = localize_only;
+    ft::odometry odometry(exec, small_pair.rig(), p, 1, ft::loops{});
+    odometry.load_map(file);
+    motion const first = t.places[0];
+    for (std::size_t n = static_cast<std::size_t>(t.black_to); n < t.places.size(); ++n) {
+      auto const f = t.scene.see(small_pair, t.places[n], t.scene.seed + static_cast<unsigned>(n));
+      ft::tracking const told = odometry.track({small_pair.view(f.left), small_pair.view(f.right)},
+                                               static_cast<int>(n + 1) * period_ns);
+      if (told.state != ft::tracking_state::tracking || told.map_id != 1) { continue; }
+      start_result& r = results[static_cast<std::size_t>(i)];
+      difference const off((first.inverse() * t.places[n]).inverse() * told.T_world_camera);
+      r.found = true;
+      if (off.m > r.off.m) { r.off = off; }
+    }
+  });
+  int found = 0, wrong = 0;
+  for (std::size_t i = 0; i < results.size(); ++i) {
+    start_result const& r = results[i];
+    found += static_cast<int>(r.found);
+    wrong += static_cast<int>(r.found && r.off.m > 1);  // its twin is 8 m away, and more
+    if (r.found) { std::fprintf(stderr, "alike %zu: found, off by %.2f m\n", i, r.off.m); }
+  }
+  std::printf("{\"alike_starts\": %d, \"found\": %d, \"wrong\": %d}\n", count, found, wrong);
+  return wrong;
 }
 
 }  // namespace loop_cases

@@ -56,6 +56,7 @@ struct predict_frame {
     t.interval_ns = t.begun != 0 ? saturated_difference(in.time_ns, t.time_ns) : 0;
     t.time_ns = state.time_ns[b] = in.time_ns;
     t.begun = 1;
+    t.looked_up = in.looked_up;
     rigid<double> const last = state.T_cw[b];
     t.predicted =
         in.predicted != 0 ? in.T_cw : t.velocity.predict(last, t.interval_ns, rules.motion);

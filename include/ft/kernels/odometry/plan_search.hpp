@@ -45,7 +45,8 @@ struct plan_camera_search {
     camera_track const& t = state.tracks[b];
     bool const adopts = start.proposals != nullptr && start.proposals[b].adopted != 0;
     bool const frozen = is_frozen(g, b, t, frame, start, state.T_cw[b]);
-    search_plan const plan = frozen                         ? search_plan::nothing
+    bool const waits = t.lost_frames > 0 && t.looked_up != 0 && t.guided == 0;
+    search_plan const plan = frozen || waits                ? search_plan::nothing
                              : adopts && t.lost_frames == 0 ? search_plan::rejoin
                              : adopts                       ? search_plan::recover
                                                             : plan_of(t, rules, start.inliers[b]);
@@ -186,7 +187,8 @@ private:
 /// Decides after the first pose of a frame how its search in the local map goes on. A camera with
 /// too few inliers, or that was lost before, is searched for near one of several poses with a wide
 /// radius, among the newest keyframes' points; one that adopts a proposal near that pose. Its
-/// keypoints release what they hold. One whose images repeat while its IMU moves is as without
+/// keypoints release what they hold. One that is looked up after the frame is searched for only
+/// where an IMU says where. One whose images repeat while its IMU moves is as without
 /// keypoints, and goes on by its IMU. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void plan_searches(Exec const& exec, tracking_rules const& rules, frame_view const& frame,

@@ -19,12 +19,18 @@ namespace ft {
 inline namespace FT_ABI {
 
 /// Whether the place of a camera was looked up, and known.
-enum class place_outcome : int { not_lost = 0, unknown = 1, known = 2 };
+enum class place_outcome : int {
+  not_lost = 0,
+  unknown = 1,
+  known = 2,
+  begins_map = 3  ///< known, and a new map begins there
+};
 
 /// Frames of cameras, of which some were lost and looked up. Executor memory, unless said
 /// otherwise.
 struct looked_up_frames {
   frame_view frame;
+  bool begins_maps = true;                 ///< those that stay lost may begin a map
   place_outcome const* outcome = nullptr;  ///< [batch] memory that the executor's threads read
   pose const* found_T_cw = nullptr;        ///< [batch] of frames whose place is known
   int const* found_inliers = nullptr;      ///< [batch] likewise
@@ -49,7 +55,8 @@ struct settle_lost_camera {
                                  odometry_state_view const& state) const {
     if (g.rank() == 0) { in.begins[b] = keyframe_order::none; }
     if (in.outcome[b] == place_outcome::not_lost) { return; }
-    bool const found = in.outcome[b] == place_outcome::known &&
+    bool const begins = in.outcome[b] == place_outcome::begins_map;
+    bool const found = (begins || in.outcome[b] == place_outcome::known) &&
                        in.found_inliers[b] >= rules.min_recovered &&
                        is_enough(in.found_evidence[b], rules);
     int held = 0;
@@ -70,6 +77,7 @@ struct settle_lost_camera {
       state.T_cw[b] = T.orthonormalized().template cast<double>();
     } else if (found) {
       keep_pose(t, state.T_cw[b], in.found_T_cw[b]);
+      t.plan = search_plan::recover;  // what was searched is told
       t.facts = {};
     }
     if (found) {
@@ -78,23 +86,31 @@ struct settle_lost_camera {
       t.facts.matches = in.found_inliers[b];
       t.facts.evidence = static_cast<int>(in.found_evidence[b] / evidence_one);
       in.matches[b] = held;
-    } else if (!rules.localize_only && t.lost_with_features >= rules.patience) {
-      // The adjustment of the old map that this frame gathered is not begun.
-      if (state.gather[b] != 0) { t.adjusting = 0; }
-      state.gather[b] = 0;
-      begin_map(t);
-      note_keyframe(t, state.T_cw[b]);
-      in.begins[b] = state.order[b] = keyframe_order::begin_map;
+      if (begins) { begin(t, b, in, state); }
+    } else if (in.begins_maps && !rules.localize_only && t.lost_with_features >= rules.patience) {
+      begin(t, b, in, state);
     }
     if (!found && t.state != tracking_state::tracking) { in.inliers[b] = 0; }
     state.tracks[b] = t;
+  }
+
+private:
+  FT_HOST_DEVICE static void begin(camera_track& t, int b, looked_up_frames const& in,
+                                   odometry_state_view const& state) {
+    // The adjustment of the old map that this frame gathered is not begun.
+    if (state.gather[b] != 0) { t.adjusting = 0; }
+    state.gather[b] = 0;
+    begin_map(t);
+    note_keyframe(t, state.T_cw[b]);
+    in.begins[b] = state.order[b] = keyframe_order::begin_map;
   }
 };
 
 }  // namespace detail
 
 /// Lost cameras whose place is known are tracked at the pose that was found, if it has
-/// min_recovered inliers and min_evidence. The others begin a new map if `patience` is at its end,
+/// min_recovered inliers and min_evidence; of place_outcome::begins_map they begin a map there. The
+/// others begin a new map if `patience` is at its end,
 /// as judge_frames() decides without a look-up. Keypoints of a frame that is not found hold
 /// nothing. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec>

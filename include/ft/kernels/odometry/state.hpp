@@ -39,6 +39,7 @@ struct odometry_input {
   int stamp;           ///< of the frame; the next number belongs to it, too
   int reset;           ///< 1 = the camera begins anew
   int window;          ///< 1 = the adjustment in flight ends with this frame
+  int looked_up;  ///< 1 = a lost camera is looked up after the frame, and not searched for in it
 };
 
 /// What is kept of one camera.
@@ -54,6 +55,7 @@ struct camera_track {
   std::int64_t seen_ns;      ///< of the last frame whose pose comes from the map, or that began one
   int begun;                 ///< 1 = a frame was seen
   int guided;                ///< 1 = `predicted` comes from an IMU
+  int looked_up;             ///< of the current frame's odometry_input
   int frozen;                ///< 1 = images that have keypoints repeat since the IMU has moved
   int lost_frames;           ///< in a row
   int lost_with_features;    ///< of these, the last ones in a row with enough stereo points

@@ -15,6 +15,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/loops/order_keyframes.hpp"
 #include "ft/kernels/loops/page_keyframes.hpp"
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/settle_lost.hpp"
@@ -29,8 +30,10 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// The map of an odometry that has tracking_rules::localize_only is the loaded one until the camera
-/// is placed elsewhere: then a page of it, the keyframes that are kept around that place.
+/// Tracks the frame of a camera that was not found in a loaded map around the place that it may be
+/// at: in that map, or in a page, the keyframes that are kept around the place. With
+/// tracking_rules::localize_only the page is the odometry's map from then on, else a new map begins
+/// in the frame.
 template <typename Exec, typename Rig>
 class loop_localizer {
   using stages_type = odometry_stages<Exec, Rig>;
@@ -40,19 +43,15 @@ public:
   loop_localizer(stages_type const& stages, loop_archive_view const& archive)
       : stages_(stages), archive_(archive) {
     keyframes_view const& k = stages.own.map.keyframes;
-    int const slots = stages.own.map.records.slots;
-    most_ = min_of(k.positions, slots / archive.points);
-    loaded_ = owner<odometry_map_view, space>([&](carver& c, odometry_map_view& v) {
-      carve(c, v, {slots, {k.positions, k.cameras, k.capacity}}, 1);
-    });
+    most_ = min_of(k.positions, stages.own.map.records.slots / archive.points);
     memory_ = owner<memory, space>([&](carver& c, memory& m) {
       c.place({most_}, m.page);
-      c.place({max_keyframes}, m.votes);
+      c.place({max_keyframes}, m.votes, m.places);
       c.place({1}, m.evidence, m.begins);
     });
     staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
       c.place({most_}, s.page);
-      c.place({max_keyframes}, s.votes);
+      c.place({max_keyframes}, s.votes, s.places);
       c.place({1}, s.T_cw, s.radius_factor, s.mode, s.outcome, s.evidence, s.inliers);
     });
   }
@@ -61,70 +60,150 @@ public:
   /// @param path its keyframes @param archive their rows, in host memory
   void load(Exec const& exec, loop_path const& path, loop_archive_view const& archive) {
     odometry_map_view const& map = stages_.own.map;
-    copy_columns(exec, loaded_.view(), map);
     keyframes_view const& k = map.keyframes;
+    loaded_ = owner<odometry_map_view, space>([&](carver& c, odometry_map_view& v) {
+      carve(c, v, {map.records.slots, {k.positions, k.cameras, k.capacity}}, 1);
+    });
+    copy_columns(exec, loaded_.view(), map);
     int const made = downloaded(exec, k.made, 1)[0], count = downloaded(exec, k.count, 1)[0];
-    auto const times = downloaded(exec, k.time_ns, static_cast<std::size_t>(k.positions));
-    in_loaded_.assign(path.keyframes.size(), -1);
-    far_.clear();
-    for (int i = 0; i < path.size(); ++i) {
-      for (int number = made - count + 1; number <= made; ++number) {
-        int const p = k.position(number);
-        bool const is = times[static_cast<std::size_t>(p)] == path.at(i).time_ns;
-        if (is) { in_loaded_[static_cast<std::size_t>(i)] = p; }
-      }
-      far_.push_back(path.at(i).T_world_camera.scale * distance(archive, path.at(i).row));
+    auto const ring = static_cast<std::size_t>(k.positions);
+    auto const times = downloaded(exec, k.time_ns, ring);
+    auto const T_cw = downloaded(exec, k.T_cw, ring);
+    ring_.clear();
+    for (int number = made - count + 1; number <= made; ++number) {
+      int const p = k.position(number);
+      ring_.push_back({p, view_of(T_cw[static_cast<std::size_t>(p)].inverse()), 0});
     }
-    order_.reserve(far_.size());
-    off_.assign(far_.size(), 0);
-    at_ = in_loaded_;
-    is_page_ = false;
+    farthest_first_ = ring_;
+    kept_.clear();
+    listed_.clear();
+    for (int i = 0; i < path.size(); ++i) {
+      path_keyframe const& of = path.at(i);
+      double const far = distance(archive, of.row), scale = of.T_world_camera.scale;
+      kept_keyframe keyframe{view_of(without_scale(of.T_world_camera)),
+                             view_of(of.T_odom_camera),
+                             path.T_world_odom(i),
+                             scale * far,
+                             far,
+                             -1,
+                             0};
+      for (ring_keyframe const& r : ring_) {
+        auto const p = static_cast<std::size_t>(r.position);
+        if (times[p] != of.time_ns) { continue; }
+        keyframe.in_loaded = r.position;
+        // Adjustments have moved it since it was made, and its points with it.
+        bool const moved = !path.loops.empty() && i + 1 < path.size();
+        if (moved) { keyframe.T_world_odom = of.T_world_camera * with_scale(T_cw[p]); }
+      }
+      kept_.push_back(keyframe);
+      if (of.part == path.keyframes.back().part) { listed_.push_back(i); }
+    }
+    order_ = listed_;
+    at_.clear();
+    show_as_loaded();
   }
+  /// The map goes on, and is its own.
+  void forget() { loaded_ = {}; }
   odometry_map_view const& loaded() const { return loaded_.view(); }
   allocated_bytes bytes() const { return {memory_.bytes() + loaded_.bytes(), staging_.bytes()}; }
 
-  /// Whether the camera leaves what is in the map: where a kept keyframe is nearer by half, and all
-  /// that are in it are off by more than a quarter of the distance of what they see.
-  bool leaves(loop_path const& path, similarity<double> const& T_world_camera) {
-    if (sort_by_distance(path, T_world_camera, 1) == 0) { return false; }
-    auto const best = static_cast<std::size_t>(order_[0]);
-    double least = std::numeric_limits<double>::infinity();
-    for (int const i : order_) {
-      auto const k = static_cast<std::size_t>(i);
-      if (at_[k] >= 0) { least = std::min(least, off_[k]); }
+  /// Whether the camera is outside of the keyframes in the map.
+  bool leaves(similarity<double> const& T_world_camera) const {
+    view const from = view_of(without_scale(T_world_camera));
+    constexpr double none = std::numeric_limits<double>::infinity();
+    double best = none, least = none, far = 0;
+    for (int const i : listed_) {
+      kept_keyframe const& k = kept(i);
+      double const off = k.in_world.off(from, k.far);
+      if (off <= best) {
+        best = off;
+        far = k.far;
+      }
+      if (at_[static_cast<std::size_t>(i)] >= 0) { least = std::min(least, off); }
     }
-    return least > 2 * off_[best] && least > 0.25 * far_[best];
+    return is_outside(least, best, far);
   }
 
   /// Tracks the frame in the loaded map, or in a page of it, around a pose, if what is found there
-  /// is evident. The loaded map has better points, and is taken where it has the nearest keyframe.
-  /// Waits. @return whether the frame is tracked
+  /// is evident. The loaded map has better points, and is taken where a camera would not leave it.
+  /// Waits. @param T_world_odom of a page; in the loaded map that of the nearest keyframe holds
+  /// @return whether the frame is tracked
   bool place(Exec const& exec, loop_path const& path, similarity<double> const& T_world_camera,
              similarity<double> const& T_world_odom) {
-    int const n = sort_by_distance(path, T_world_camera, most_);
-    if (n == 0) { return false; }
-    auto const T = (T_world_odom.inverse() * T_world_camera).orthonormalized();
-    pose const T_cw = without_scale(T).inverse().template cast<float>();
-    if (in_loaded_[static_cast<std::size_t>(order_[0])] >= 0) {
+    if (listed_.empty()) { return false; }
+    sort_by_distance(T_world_camera);
+    int const in_loaded = nearest_in_loaded();
+    if (in_loaded >= 0) {
       show_loaded(exec);
-      if (search_around(exec, T_cw)) { return true; }
+      if (search_around(exec, in_map(correction(in_loaded), T_world_camera))) { return true; }
     }
-    show_page(exec, path, T_world_odom, n);
-    if (search_around(exec, T_cw)) { return true; }
+    // One camera begins a map by its motion.
+    if (stages_type::starts_from_motion && !localize_only()) { return false; }
+    show_page(exec, path, T_world_odom, min_of(most_, static_cast<int>(order_.size())));
+    if (search_around(exec, in_map(T_world_odom, T_world_camera))) { return true; }
     show_loaded(exec);
     return false;
+  }
+  /// Of the path, to the pose of the last place().
+  int nearest() const { return order_[0]; }
+  /// The keyframe of the path, of those in the loaded map, that a camera in it is nearest to; -1 in
+  /// a page.
+  int beside(rigid<double> const& T_odom_camera) const {
+    if (is_page_) { return -1; }
+    view const from = view_of(T_odom_camera);
+    double best = std::numeric_limits<double>::infinity();
+    int nearest = -1;
+    for (int const i : listed_) {
+      kept_keyframe const& k = kept(i);
+      double const off = k.in_loaded < 0 ? best : k.in_odom.off(from, k.far_in_map);
+      if (off < best) {
+        best = off;
+        nearest = i;
+      }
+    }
+    return nearest;
+  }
+  /// T_world_odom there.
+  similarity<double> correction(int i) const { return kept(i).T_world_odom.orthonormalized(); }
+  /// The keyframes of the loaded map that are nearest to a camera become its newest ones: the
+  /// adjustment of the next keyframe is tied to them, a lost camera is searched for beside them,
+  /// and the farthest ones leave first. Waits.
+  void order(Exec const& exec, rigid<double> const& T_odom_camera) {
+    show_loaded(exec);
+    exec.wait();  // for what is staged
+    view const from = view_of(T_odom_camera);
+    double const far = kept(nearest()).far_in_map;
+    for (ring_keyframe& r : farthest_first_) { r.off = r.seen.off(from, far); }
+    std::sort(farthest_first_.begin(), farthest_first_.end(), [](auto const& a, auto const& b) {
+      return a.off > b.off || (!(b.off > a.off) && a.position < b.position);
+    });
+    std::fill_n(staging_->places, max_keyframes, -1);
+    for (std::size_t i = 0; i < ring_.size(); ++i) {
+      staging_->places[farthest_first_[i].position] = ring_[i].position;
+    }
+    copy(exec, memory_->places, static_cast<int const*>(staging_->places),
+         std::size_t{max_keyframes});
+    order_keyframes(exec, loaded_.view(), memory_->places, stages_.own.map);
+    is_ordered_ = true;
+    for (int const i : listed_) {
+      int const p = kept(i).in_loaded;
+      if (p >= 0) { at_[static_cast<std::size_t>(i)] = staging_->places[p]; }
+    }
+    exec.wait();
   }
 
 private:
   struct memory {
     paged_keyframe* page = nullptr;    ///< [most_]
     int* votes = nullptr;              ///< [max_keyframes] of keyframes by position
+    int* places = nullptr;             ///< [max_keyframes] of order_keyframes()
     std::int64_t* evidence = nullptr;  ///< [1]
     keyframe_order* begins = nullptr;  ///< [1]
   };
   struct staging {
     paged_keyframe* page = nullptr;  ///< [most_]
     int* votes = nullptr;            ///< [max_keyframes]
+    int* places = nullptr;           ///< [max_keyframes]
     pose* T_cw = nullptr;
     float* radius_factor = nullptr;
     local_map_mode* mode = nullptr;
@@ -145,28 +224,63 @@ private:
     return std::sqrt(static_cast<double>(*middle));
   }
 
-  /// Lists the keyframes of the newest one's part by how far they and what they look at are from a
-  /// camera and what it looks at. @return how many are listed, at most so many
-  int sort_by_distance(loop_path const& path, similarity<double> const& T_world_camera, int most) {
-    order_.clear();
-    vec3<double> const ahead{0, 0, 1};
-    for (int i = 0; i < path.size(); ++i) {
-      if (path.at(i).part != path.keyframes.back().part) { continue; }
-      auto const& T = path.at(i).T_world_camera;
-      double const far = far_[static_cast<std::size_t>(i)];
-      auto const off = T.t - T_world_camera.t;
-      auto const looks = off + scaled(T.R * ahead - T_world_camera.R * ahead, far);
-      off_[static_cast<std::size_t>(i)] = std::sqrt(dot(off, off)) + std::sqrt(dot(looks, looks));
-      order_.push_back(i);
+  /// Where a camera is, and which way it looks.
+  struct view {
+    vec3<double> at, ahead;
+    /// How far two and what they look at are from each other. @param far distance of that
+    double off(view const& other, double far) const {
+      auto const shift = at - other.at;
+      auto const looks = shift + scaled(ahead - other.ahead, far);
+      return std::sqrt(dot(shift, shift)) + std::sqrt(dot(looks, looks));
     }
+  };
+  static view view_of(rigid<double> const& T_camera) {
+    return {T_camera.t, T_camera.R * vec3<double>{0, 0, 1}};
+  }
+  struct ring_keyframe {
+    int position;
+    view seen;   ///< in the odometry's frame
+    double off;  ///< of order()
+  };
+  struct kept_keyframe {
+    view in_world, in_odom;
+    similarity<double> T_world_odom;  ///< of a camera beside it in the loaded map
+    double far;                       ///< median distance of what it sees, metres
+    double far_in_map;                ///< the same in the unit of its map
+    int in_loaded;                    ///< position in the loaded map, -1 = none
+    double off;                       ///< of sort_by_distance()
+  };
+  kept_keyframe const& kept(int i) const { return kept_[static_cast<std::size_t>(i)]; }
+
+  static pose in_map(similarity<double> const& T_world_odom,
+                     similarity<double> const& T_world_camera) {
+    auto const T = (T_world_odom.inverse() * T_world_camera).orthonormalized();
+    return without_scale(T).inverse().template cast<float>();
+  }
+  /// Lists the keyframes of the newest one's part by how far they and what they look at are from a
+  /// camera and what it looks at.
+  void sort_by_distance(similarity<double> const& T_world_camera) {
+    view const from = view_of(without_scale(T_world_camera));
+    for (kept_keyframe& k : kept_) { k.off = k.in_world.off(from, k.far); }
     std::sort(order_.begin(), order_.end(), [this](int a, int b) {
-      double const of_a = off_[static_cast<std::size_t>(a)];
-      double const of_b = off_[static_cast<std::size_t>(b)];
-      return of_a < of_b || (!(of_b < of_a) && a > b);
+      return kept(a).off < kept(b).off || (!(kept(b).off < kept(a).off) && a > b);
     });
-    return min_of(most, static_cast<int>(order_.size()));
   }
 
+  /// Whether a camera is outside of some keyframes: a kept one is nearer by half, and they are off
+  /// by more than a quarter of the distance of what it sees.
+  static bool is_outside(double least, double best, double far) {
+    return least > 2 * best && least > 0.25 * far;
+  }
+  /// In order_, of those in the loaded map; -1 where the camera is outside of them.
+  int nearest_in_loaded() const {
+    kept_keyframe const& best = kept(nearest());
+    for (int const i : order_) {
+      if (kept(i).in_loaded < 0) { continue; }
+      return is_outside(kept(i).off, best.off, best.far) ? -1 : i;
+    }
+    return -1;
+  }
   /// The map becomes a page of the first n keyframes in order_.
   void show_page(Exec const& exec, loop_path const& path, similarity<double> const& T_world_odom,
                  int n) {
@@ -187,14 +301,26 @@ private:
     is_page_ = true;
   }
   void show_loaded(Exec const& exec) {
-    if (is_page_) { copy_columns(exec, stages_.own.map, loaded_.view()); }
-    at_ = in_loaded_;
-    is_page_ = false;
+    if (is_page_ || is_ordered_) { copy_columns(exec, stages_.own.map, loaded_.view()); }
+    show_as_loaded();
+  }
+  void show_as_loaded() {
+    at_.resize(kept_.size());
+    for (std::size_t i = 0; i < kept_.size(); ++i) { at_[i] = kept_[i].in_loaded; }
+    is_page_ = is_ordered_ = false;
   }
   /// In the map, first with a wide radius, then from where that has led to. @return whether what is
   /// found there is evident, as settle_lost_frames() judges it: a frame that was tracked before
   /// stays tracked without
   bool search_around(Exec const& exec, pose const& T_cw) const {
+    search_twice(exec, T_cw);
+    bool const begins = is_page_ && !localize_only();
+    *staging_->outcome = begins ? place_outcome::begins_map : place_outcome::known;
+    settle(exec);
+    tracking_rules const& rules = stages_.settings.rules;
+    return *staging_->inliers >= rules.min_recovered && is_enough(*staging_->evidence, rules);
+  }
+  void search_twice(Exec const& exec, pose const& T_cw) const {
     exec.wait();  // for what is staged
     std::fill_n(staging_->votes, max_keyframes, 0);
     int votes = static_cast<int>(order_.size());
@@ -209,9 +335,11 @@ private:
     copy(exec, stages_.memory.poses, static_cast<pose const*>(staging_->T_cw), 1);
     search(exec, stages_.settings.rules.first_wide_search);
     search(exec, 1);
-    settle(exec);
-    tracking_rules const& rules = stages_.settings.rules;
-    return *staging_->inliers >= rules.min_recovered && is_enough(*staging_->evidence, rules);
+    // Before a map begins, which the points are not of.
+    weigh_recoveries(exec, stages_.local_input(), stages_.params.local_points, stages_.memory.frame,
+                     stages_.memory.map, stages_.memory.observations.inliers, memory_->evidence);
+    copy(exec, staging_->evidence, static_cast<std::int64_t const*>(memory_->evidence), 1);
+    copy(exec, staging_->inliers, static_cast<int const*>(stages_.memory.observations.inliers), 1);
   }
   /// From memory.poses, of which the optimised pose takes the place.
   void search(Exec const& exec, float radius_factor) const {
@@ -228,11 +356,12 @@ private:
     stages_.assign_local_map(exec);
     stages_.optimize_local(exec);
   }
+  bool localize_only() const { return stages_.settings.rules.localize_only; }
   /// What the frame's searches say becomes its result.
   void settle(Exec const& exec) const {
-    *staging_->outcome = place_outcome::known;
     looked_up_frames in;
     in.frame = stages_.memory.frame;
+    in.begins_maps = false;
     in.outcome = staging_->outcome;
     in.found_T_cw = in.T_cw = stages_.memory.poses;
     in.found_inliers = in.inliers = stages_.memory.observations.inliers;
@@ -240,11 +369,10 @@ private:
     in.matches = stages_.memory.local_work.matches;
     in.matched = stages_.own.matched;
     in.begins = memory_->begins;
-    weigh_recoveries(exec, stages_.local_input(), stages_.params.local_points, stages_.memory.frame,
-                     stages_.memory.map, in.found_inliers, memory_->evidence);
-    copy(exec, staging_->evidence, static_cast<std::int64_t const*>(memory_->evidence), 1);
-    copy(exec, staging_->inliers, static_cast<int const*>(in.found_inliers), 1);
     settle_lost_frames(exec, stages_.settings.rules, in, stages_.own.state);
+    if constexpr (!stages_type::starts_from_motion) {
+      if (!localize_only()) { stages_.insert(exec, memory_->begins); }
+    }
     stages_.keep_counts(exec);
     stages_.pack_matches(exec, stages_.outcome_of_local());
     stages_.pack_outputs(exec, nullptr);
@@ -257,13 +385,15 @@ private:
   owner<odometry_map_view, space> loaded_;
   owner<memory, space> memory_;
   owner<staging, staging_space<Exec>> staging_;
-  bool is_page_ = false;  ///< the map is none of the loaded one now
-  // Of the keyframes of the path:
-  std::vector<int> in_loaded_;  ///< position in the loaded map, -1 = none
-  std::vector<int> at_;         ///< position in the map now, likewise
-  std::vector<double> far_;     ///< median distance of what each sees
-  std::vector<double> off_;     ///< of sort_by_distance()
-  std::vector<int> order_;      ///< of sort_by_distance()
+  bool is_page_ = false;             ///< the map is none of the loaded one now
+  bool is_ordered_ = false;          ///< it is the loaded one with its keyframes in another order
+  std::vector<ring_keyframe> ring_;  ///< of the loaded map, the oldest first
+  std::vector<ring_keyframe> farthest_first_;  ///< the same, of order()
+  // Of the keyframes of the path, which stay until the map goes on:
+  std::vector<kept_keyframe> kept_;
+  std::vector<int> listed_;  ///< those of the newest one's part
+  std::vector<int> order_;   ///< the same, of sort_by_distance()
+  std::vector<int> at_;      ///< of all, position in the map now, -1 = none
 };
 
 }  // namespace detail

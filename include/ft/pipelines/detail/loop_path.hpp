@@ -82,6 +82,7 @@ struct loop_path {
   /// Of the next step of an optimisation that goes on, as pose_graph_params::first_damping; 0 = it
   /// has ended.
   double damping = 0;
+  int beside = -1;  ///< keyframe that the next one is to be tied to; -1 = it follows the newest one
 
   /// @param most keyframes @param found loops to a keyframe, at most
   void reserve(int most, int found) {
@@ -98,15 +99,33 @@ struct loop_path {
     joints.clear();
     gravity = {0, 0, 0};
     damping = 0;
+    beside = -1;
   }
   int size() const { return static_cast<int>(keyframes.size()); }
   int most_loops() const { return static_cast<int>(loops.capacity()); }  ///< that are reserved
   path_keyframe const& at(int i) const { return keyframes[static_cast<std::size_t>(i)]; }
   /// From the frame of the odometry to the world, as the newest keyframe says.
   similarity<double> T_world_odom() const {
-    if (keyframes.empty()) { return similarity<double>::identity(); }
-    auto const& k = keyframes.back();
+    return keyframes.empty() ? similarity<double>::identity() : T_world_odom(size() - 1);
+  }
+  /// The same as keyframe i says.
+  similarity<double> T_world_odom(int i) const {
+    auto const& k = at(i);
     return (k.T_world_camera * with_scale(k.T_odom_camera.inverse())).orthonormalized();
+  }
+
+  /// What a caller is told of it.
+  void list(std::vector<placed_keyframe>& to) const {
+    for (path_keyframe const& k : keyframes) {
+      to.push_back({k.time_ns, k.part, k.T_odom_camera, without_scale(k.T_world_camera),
+                    k.T_world_camera.scale, k.loaded});
+    }
+  }
+  void list(std::vector<closed_loop>& to) const {
+    for (path_loop const& l : loops) {
+      to.push_back({l.from, l.to, at(l.from).time_ns, at(l.to).time_ns, without_scale(l.T_from_to),
+                    l.T_from_to.scale, l.inliers});
+    }
   }
 
   /// Length of the way from a keyframe to a later one, metres, as scales are known now.
@@ -187,6 +206,25 @@ struct loop_path {
     return chi2(a) < likely && chi2(b) < likely;
   }
 
+  /// Ties a keyframe that follows to keyframe `beside`, beside which its place is known: as of the
+  /// newest one nothing is known of their motion. @param inliers of its pose
+  void tie(int inliers, path_keyframe& k) {
+    path_loop l;
+    l.from = beside;
+    l.to = size();
+    l.inliers = inliers;
+    l.T_from_to = (at(beside).T_world_camera.inverse() * k.T_world_camera).orthonormalized();
+    std::copy(k.information, k.information + 21, l.information);
+    l.scale_information = 1e4;  // 1 %
+    loops.push_back(l);
+    k.part = at(beside).part;
+    k.step = 0;
+    for (int i = 0, n = 0; i < 6; ++i) {
+      for (int j = i; j < 6; ++j) { k.information[n++] = i == j ? 1e-6 : 0; }
+    }
+    beside = -1;
+  }
+
   /// A loop to another part waits until one of another keyframe agrees with it; then the parts are
   /// joined: the later one moves to where they say, and both loops are kept.
   /// @return how many loops are kept
@@ -238,6 +276,7 @@ struct loop_path {
       }
     }
     move_loops();
+    if (beside >= 0) { beside = number(beside); }
     move_keyframes(freed);
   }
 

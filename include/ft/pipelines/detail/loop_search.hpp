@@ -66,6 +66,7 @@ struct loop_search {
   int closed = 0;                ///< loops that the last search added
   correction_slice slice;        ///< of the correction after it; no steps: there is none
   bool enters = false;           ///< the path has changed
+  int looks_like = 0;            ///< places that the last look_up() has verified
   struct memory {
     int* rows = nullptr;   ///< [keyframes]
     int* votes = nullptr;  ///< [keyframes]
@@ -126,12 +127,14 @@ struct loop_search {
     joins_only = true;
     query_has_depths = !is_monocular_v<Rig>;
     std::vector<path_loop> const found = verified(exec);
+    looks_like = static_cast<int>(found.size());
     std::optional<path_loop> best;
     for (path_loop const& l : found) {
       bool const is_best = !best.has_value() || l.inliers > best->inliers;
       if (path.at(l.from).part == part && is_best && is_told_apart(l, found)) { best = l; }
     }
     path.keyframes.pop_back();
+    query_has_depths = true;
     return best;
   }
 

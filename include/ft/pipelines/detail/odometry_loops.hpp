@@ -20,6 +20,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/loops/keep_keyframe.hpp"
 #include "ft/pipelines/detail/loop_files.hpp"
+#include "ft/pipelines/detail/loop_frames.hpp"
 #include "ft/pipelines/detail/loop_localizer.hpp"
 #include "ft/pipelines/detail/loop_path.hpp"
 #include "ft/pipelines/detail/loop_search.hpp"
@@ -45,30 +46,36 @@ class odometry_loops final : public odometry_part<Exec, Rig> {
 
 public:
   odometry_loops(Exec const& exec, stages_type const& stages)
-      : params_(stages.settings.loops), awaits_scale_(one_camera && stages.settings.imu.present) {
+      : params_(stages.settings.loops),
+        input_(stages.own.inputs),
+        awaits_scale_(one_camera && stages.settings.imu.present) {
     path_.scaled = one_camera && !awaits_scale_;
     archive_ = owner<loop_archive_view, Exec::space>([&](carver& c, loop_archive_view& v) {
       carve(c, v, params_.keyframes + margin(), params_.points);
     });
     path_.reserve(archive_->rows, params_.groups + search_type::more_to_join);
-    if (stages.settings.rules.localize_only) {
-      localizer_ = std::make_unique<loop_localizer<Exec, Rig>>(stages, archive_.view());
-    }
+    localize_only_ = stages.settings.rules.localize_only;
+    localizer_ = std::make_unique<loop_localizer<Exec, Rig>>(stages, archive_.view());
     forget_all();
     beside_ = std::make_unique<work_beside<host_exec, search_type>>(
         loop_executor<Exec>::threads_of(exec),
         search_type(stages.rig, params_, stages.pose_settings, archive_.view()), 1, 2);
   }
 
+  void before_frame(int, bool, std::int64_t, std::int64_t) override {
+    input_->looked_up = loaded_ && (localize_only_ || looking_) && !was_there_ ? 1 : 0;
+  }
   void after_frame(Exec const& exec, stages_type const& stages) override {
     odometry_output const& out = stages.own.outputs[0];
     ++frame_;
-    map_ = out.maps;
     closed_now_ = 0;
-    if (localizer_ != nullptr) {
-      if (loaded_) { localize(exec, stages); }
-      return;
+    if (localize_only_ && loaded_) { localize(exec, stages); }
+    if (looking_) { find_in_loaded(exec, stages); }
+    if (out.state != tracking_state::recovering) {
+      was_there_ = out.state == tracking_state::tracking;
     }
+    if (localize_only_) { return; }
+    map_ = out.maps;
     if (running_ && frame_ == ends_) { go_on(); }
     bool const kept = out.keyframe != 0 || (seeks() && out.state == tracking_state::tracking);
     if (kept && (!awaits_scale_ || out.maps == metric_map_)) { keep(exec, stages, out); }
@@ -80,7 +87,7 @@ public:
   }
   void describe(int, std::int64_t, tracking& t) override {
     if (t.metric) { metric_map_ = t.maps; }
-    if (t.imu.known && localizer_ == nullptr && of_first_part() && of_path(t.maps)) {
+    if (t.imu.known && !localize_only_ && of_first_part() && of_path(t.maps)) {
       path_.gravity = T_world_odom_.R * t.imu.gravity;
     }
     tell_correction(t);
@@ -92,7 +99,7 @@ public:
   }
   void reset(int) override { forget_all(); }
   odometry_map_view const* loaded_map() const override {
-    return localizer_ != nullptr && loaded_ ? &localizer_->loaded() : nullptr;
+    return localize_only_ && loaded_ ? &localizer_->loaded() : nullptr;
   }
   map_snapshot::writer save(Exec const& exec) const override {
     require(!awaits_scale_ || of_path(map_),
@@ -120,22 +127,12 @@ public:
     last.metric = last.metric || metric_map_ > 0;
     tell_correction(last);
   }
-  void list_placed(std::vector<placed_keyframe>& to) const override {
-    for (path_keyframe const& k : path_.keyframes) {
-      to.push_back({k.time_ns, k.part, k.T_odom_camera, without_scale(k.T_world_camera),
-                    k.T_world_camera.scale, k.loaded});
-    }
-  }
-  void list_closed(std::vector<closed_loop>& to) const override {
-    for (path_loop const& l : path_.loops) {
-      to.push_back({l.from, l.to, path_.at(l.from).time_ns, path_.at(l.to).time_ns,
-                    without_scale(l.T_from_to), l.T_from_to.scale, l.inliers});
-    }
-  }
+  void list_placed(std::vector<placed_keyframe>& to) const override { path_.list(to); }
+  void list_closed(std::vector<closed_loop>& to) const override { path_.list(to); }
   allocated_bytes bytes() const override {
     search_type const& s = beside_->work();
     allocated_bytes const own{archive_.bytes() + s.memory_.bytes(), s.staging_.bytes()};
-    return localizer_ != nullptr ? own + localizer_->bytes() : own;
+    return own + localizer_->bytes();
   }
 
 private:
@@ -176,7 +173,14 @@ private:
       k.step = goes_on ? std::sqrt(dot(step, step)) : 0.0;
       k.part = goes_on ? last.part : k.map;
     }
-    keep_keyframe(exec, with_points(exec, stages), 0, k.row, archive_.view());
+    bool const follows = path_.beside + 1 == path_.size() && k.step > 0;
+    if (path_.beside >= 0 && !follows) {
+      path_.tie(std::min(out.inliers, params_.points), k);
+      ++closed_now_;
+      searched_path_differs_ = true;
+    }
+    path_.beside = -1;
+    keep_keyframe(exec, frame_with_points(exec, stages), 0, k.row, archive_.view());
     exec.wait();
     path_.keyframes.push_back(k);
   }
@@ -185,32 +189,55 @@ private:
   void localize(Exec const& exec, stages_type const& stages) {
     odometry_output const& out = stages.own.outputs[0];
     if (out.state == tracking_state::tracking) {
+      stay_beside(out);
       auto const T_world_camera = in_world(out.T_cw.inverse());
-      if (localizer_->leaves(path_, T_world_camera)) {
-        localizer_->place(exec, path_, T_world_camera, T_world_odom_);
+      if (localizer_->leaves(T_world_camera) &&
+          localizer_->place(exec, path_, T_world_camera, T_world_odom_)) {
+        stay_beside(out);
       }
-      return;
+    } else if (find(exec, stages)) {
+      stay_beside(out);
     }
+  }
+  /// @return whether the frame is tracked now
+  bool find(Exec const& exec, stages_type const& stages) {
     odometry_input const& in = stages.own.inputs[0];
     auto const place = [&](similarity<double> const& T_world_camera) {
       return localizer_->place(exec, path_, T_world_camera, T_world_odom_);
     };
-    if (in.predicted != 0 && place(in_world(in.T_cw.inverse()))) { return; }
+    if (in.predicted != 0 && place(in_world(in.T_cw.inverse()))) { return true; }
     int const row = archive_->rows - 1;  // of the margin
-    keep_keyframe(exec, with_any_points(exec, stages), 0, row, archive_.view());
-    auto const found = beside_->work().look_up(exec, path_.size(), row, in.time_ns);
-    if (found.has_value()) { place(path_.at(found->from).T_world_camera * found->T_from_to); }
-  }
-  /// The frame with the depths of its keypoints: of one camera with any, which are not read.
-  static auto with_any_points([[maybe_unused]] Exec const& exec, stages_type const& stages) {
-    auto in = stages.as_keyframe();
-    if constexpr (one_camera) {
-      auto const& seen = stages.beginning.points();
-      place_all_ahead(exec, in.frame.capacity(), seen.depth, seen.point);
-      in.depth = seen.depth;
-      in.point = seen.point;
+    keep_keyframe(exec, frame_with_any_points(exec, stages), 0, row, archive_.view());
+    search_type& search = beside_->work();
+    auto const found = search.look_up(exec, path_.size(), row, in.time_ns);
+    if (found.has_value()) {
+      return place(path_.at(found->from).T_world_camera * found->T_from_to);
     }
-    return in;
+    // Where it was, or the map ends: the frame itself was not searched for there.
+    return search.looks_like == 0 && in.looked_up != 0 &&
+           place(in_world(stages.own.outputs[0].T_cw.inverse()));
+  }
+  /// A camera is looked up in each frame after a map was loaded until there is a keyframe, and the
+  /// map goes on there, or a new one that is joined with it.
+  void find_in_loaded(Exec const& exec, stages_type const& stages) {
+    odometry_output const& out = stages.own.outputs[0];
+    if (out.state == tracking_state::tracking) {
+      stay_beside(out);
+    } else if (find(exec, stages)) {
+      path_.beside = localizer_->nearest();
+      if (out.begins_map == 0) {
+        localizer_->order(exec, out.T_cw.inverse());
+        stay_beside(out);
+      }
+    }
+    looking_ = out.keyframe == 0;
+    if (!looking_) { localizer_->forget(); }
+  }
+  /// In the loaded map the correction is that of the place: the odometry has drifted since.
+  void stay_beside(odometry_output const& out) {
+    int const k = loaded_ && out.maps == 1 ? localizer_->beside(out.T_cw.inverse()) : -1;
+    path_.beside = k;
+    if (k >= 0) { T_world_odom_ = localizer_->correction(k); }
   }
   /// All of the margin is used: what runs is waited for.
   void make_room() {
@@ -222,17 +249,6 @@ private:
     path_.thin([this](int row) { free_.push_back(row); });
     searched_ = std::max(searched_ - (before - path_.size()), 0);
     searched_path_differs_ = true;
-  }
-  /// The frame with the depths of its keypoints: of one camera those of the map.
-  static auto with_points([[maybe_unused]] Exec const& exec, stages_type const& stages) {
-    auto in = stages.as_keyframe();
-    if constexpr (one_camera) {
-      auto const& seen = stages.beginning.points();  // the next keyframe writes it anew
-      place_held_points(exec, in, stages.own.map.points, seen.depth, seen.point);
-      in.depth = seen.depth;
-      in.point = seen.point;
-    }
-    return in;
   }
   similarity<double> in_world(rigid<double> const& T_odom_camera) const {
     return (T_world_odom_ * with_scale(T_odom_camera)).orthonormalized();
@@ -325,8 +341,9 @@ private:
     searched_path_differs_ = true;
     T_world_odom_ = path_.T_world_odom();
     corrected_ = loaded_ = path_.size() > 0;
+    looking_ = loaded_ && !localize_only_;
     if (awaits_scale_ && loaded_) { metric_map_ = path_.keyframes.back().map; }
-    if (localizer_ != nullptr && loaded_) {
+    if (loaded_) {
       localizer_->load(exec, path_, from.archive.view());
       beside_->work().path = path_;
     }
@@ -334,7 +351,7 @@ private:
   void forget_all() {
     if (running_) { finish(); }
     failure_ = nullptr;
-    corrected_ = loaded_ = false;
+    corrected_ = loaded_ = looking_ = was_there_ = false;
     path_.clear();
     free_.clear();
     for (int i = archive_->rows - 1; i >= 0; --i) { free_.push_back(i); }
@@ -344,6 +361,7 @@ private:
   }
 
   loop_params params_;
+  odometry_input* input_;
   owner<loop_archive_view, Exec::space> archive_;
   loop_path path_;
   std::vector<int> free_;  ///< rows
@@ -361,7 +379,10 @@ private:
   bool searched_path_differs_ = true;  ///< from path_, by more than that new keyframes are missing
   bool loaded_ = false;                ///< the path began with that of a file
   std::exception_ptr failure_;         ///< of a search
-  std::unique_ptr<loop_localizer<Exec, Rig>> localizer_;  ///< of a map that is not changed
+  std::unique_ptr<loop_localizer<Exec, Rig>> localizer_;
+  bool localize_only_ = false;
+  bool looking_ = false;    ///< a map was loaded that goes on, and no keyframe was made since
+  bool was_there_ = false;  ///< the camera was tracked in it, and not lost for long since
   std::unique_ptr<saved_loops<staging_space<Exec>>>
       saved_;               ///< that were read, and enter with forget()
   bool corrected_ = false;  ///< T_world_odom_ is not the identity

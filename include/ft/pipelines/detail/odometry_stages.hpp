@@ -400,7 +400,8 @@ public:
   }
 
   /// Makes camera b one that was lost in the map that it has. Waits, and allocates.
-  /// @param anywhere a frame that is not found at once begins a map, which is joined with it
+  /// @param anywhere loops look for it; one camera without depths begins a map at once, which they
+  ///   may join with it
   /// @return its state
   tracking_state enter_loaded_map(Exec const& exec, int b, bool anywhere) const {
     keyframes_view const& k = own.map.keyframes;
@@ -418,7 +419,7 @@ public:
       // The places to try repeat after so many frames: the first one is that of the newest
       // keyframe.
       constexpr int places = 60;
-      if (anywhere) {
+      if (anywhere && starts_from_motion) {
         t.data()->lost_with_features = ceil_div(settings.rules.patience, places) * places;
       }
       t.data()->keyframe = t.data()->predicted = *T_cw.data();

@@ -43,6 +43,24 @@ TEST(OneCamera, WithoutTheOtherIsTrackedAsWithIt) {
   EXPECT_GE(summary_of(one).at("tracked").get<int>(), many / 3);
 }
 
+// ---- rolling shutters
+
+/// Rows of 33 ms, walking: the calibration says it, --readout 0 says otherwise.
+TEST(RollingShutter, TreatedHasAtMostHalfTheError) {
+  std::string const sequence = generated(70, {"--width", "376", "--readout", "33"});
+  temp_folder const treated;
+  temp_folder const untreated;
+  ASSERT_TRUE(succeeded(track(sequence, treated.path("out"), {"--imu", "off"})));
+  ASSERT_TRUE(
+      succeeded(track(sequence, untreated.path("out"), {"--imu", "off", "--readout", "0"})));
+  auto const error_of = [](temp_folder const& run) {
+    json const s = summary_of(run);
+    EXPECT_EQ(s.at("tracked").get<int>(), 70);
+    return s.at("ate_rmse_m").get<double>();
+  };
+  EXPECT_LT(error_of(treated), 0.5 * error_of(untreated));
+}
+
 // ---- depth images
 
 constexpr int plane_frames = 8;

@@ -82,6 +82,7 @@ IMAGES = (
         "repeated_aside", "a facade that repeats after 1 m, 0.8 s without light",
         (*SLOW, "--repeat", "1", "--look-aside", "90", "--blind", "4", "4.8"), limits=TRUTHFUL, frames=140,
     ),
+    Scenario("rolling_shutter", "rows are read in 33 ms", ("--readout", "33"), limits=(*WHOLE, *within(0.015))),
     Scenario("late_right", "the right image is one frame late", faults=(faults.late_right(),), limits=TRUTHFUL, least=TOLD),
     Scenario(
         "left_repeated", "the left image is the same for half a second",

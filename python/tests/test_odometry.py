@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
 import gc
 import inspect
+import re
 import signal
 import subprocess
 import sys

@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <vector>
 
 #include "ft/containers/loop_archive.hpp"
@@ -17,6 +18,7 @@
 #include "ft/core/memory.hpp"
 #include "ft/kernels/loops/order_keyframes.hpp"
 #include "ft/kernels/loops/page_keyframes.hpp"
+#include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/settle_lost.hpp"
 #include "ft/kernels/search/workspace.hpp"
@@ -52,7 +54,7 @@ public:
     staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
       c.place({most_}, s.page);
       c.place({max_keyframes}, s.votes, s.places);
-      c.place({1}, s.T_cw, s.radius_factor, s.mode, s.outcome, s.evidence, s.inliers);
+      c.place({1}, s.T_cw, s.radius_factor, s.mode, s.outcome, s.evidence, s.inliers, s.proposal);
     });
   }
 
@@ -127,22 +129,30 @@ public:
   /// Tracks the frame in the loaded map, or in a page of it, around a pose, if what is found there
   /// is evident. The loaded map has better points, and is taken where a camera would not leave it.
   /// Waits. @param T_world_odom of a page; in the loaded map that of the nearest keyframe holds
+  /// @param wide factor on the radius of the first search
   /// @return whether the frame is tracked
   bool place(Exec const& exec, loop_path const& path, similarity<double> const& T_world_camera,
-             similarity<double> const& T_world_odom) {
+             similarity<double> const& T_world_odom, float wide) {
     if (listed_.empty()) { return false; }
     sort_by_distance(T_world_camera);
     int const in_loaded = nearest_in_loaded();
     if (in_loaded >= 0) {
       show_loaded(exec);
-      if (search_around(exec, in_map(correction(in_loaded), T_world_camera))) { return true; }
+      if (search_around(exec, in_map(correction(in_loaded), T_world_camera), wide)) { return true; }
     }
     // One camera begins a map by its motion.
     if (stages_type::starts_from_motion && !localize_only()) { return false; }
     show_page(exec, path, T_world_odom, min_of(most_, static_cast<int>(order_.size())));
-    if (search_around(exec, in_map(T_world_odom, T_world_camera))) { return true; }
+    if (search_around(exec, in_map(T_world_odom, T_world_camera), wide)) { return true; }
     show_loaded(exec);
     return false;
+  }
+  /// The pose that the frame's matches anywhere in the image have given, if there is one. Waits.
+  std::optional<rigid<double>> proposed(Exec const& exec) const {
+    pose_proposal* const to = staging_->proposal;
+    copy(exec, to, static_cast<pose_proposal const*>(stages_.own.windowless.proposals), 1);
+    exec.wait();
+    return to->adopted != 0 ? std::optional<rigid<double>>(to->T_cw) : std::nullopt;
   }
   /// Of the path, to the pose of the last place().
   int nearest() const { return order_[0]; }
@@ -210,6 +220,7 @@ private:
     place_outcome* outcome = nullptr;
     std::int64_t* evidence = nullptr;
     int* inliers = nullptr;
+    pose_proposal* proposal = nullptr;
   };
 
   /// Median distance of the points of a row; 0 without any.
@@ -312,15 +323,15 @@ private:
   /// In the map, first with a wide radius, then from where that has led to. @return whether what is
   /// found there is evident, as settle_lost_frames() judges it: a frame that was tracked before
   /// stays tracked without
-  bool search_around(Exec const& exec, pose const& T_cw) const {
-    search_twice(exec, T_cw);
+  bool search_around(Exec const& exec, pose const& T_cw, float wide) const {
+    search_twice(exec, T_cw, wide);
     bool const begins = is_page_ && !localize_only();
     *staging_->outcome = begins ? place_outcome::begins_map : place_outcome::known;
     settle(exec);
     tracking_rules const& rules = stages_.settings.rules;
     return *staging_->inliers >= rules.min_recovered && is_enough(*staging_->evidence, rules);
   }
-  void search_twice(Exec const& exec, pose const& T_cw) const {
+  void search_twice(Exec const& exec, pose const& T_cw, float wide) const {
     exec.wait();  // for what is staged
     std::fill_n(staging_->votes, max_keyframes, 0);
     int votes = static_cast<int>(order_.size());
@@ -333,7 +344,7 @@ private:
          std::size_t{max_keyframes});
     *staging_->T_cw = T_cw;
     copy(exec, stages_.memory.poses, static_cast<pose const*>(staging_->T_cw), 1);
-    search(exec, stages_.settings.rules.first_wide_search);
+    search(exec, wide);
     search(exec, 1);
     // Before a map begins, which the points are not of.
     weigh_recoveries(exec, stages_.local_input(), stages_.params.local_points, stages_.memory.frame,

@@ -28,6 +28,7 @@
 #include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/detail/work_beside.hpp"
 #include "ft/types/loops.hpp"
+#include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
 
@@ -47,6 +48,7 @@ class odometry_loops final : public odometry_part<Exec, Rig> {
 public:
   odometry_loops(Exec const& exec, stages_type const& stages)
       : params_(stages.settings.loops),
+        rules_(stages.settings.rules),
         input_(stages.own.inputs),
         awaits_scale_(one_camera && stages.settings.imu.present) {
     path_.scaled = one_camera && !awaits_scale_;
@@ -54,7 +56,6 @@ public:
       carve(c, v, params_.keyframes + margin(), params_.points);
     });
     path_.reserve(archive_->rows, params_.groups + search_type::more_to_join);
-    localize_only_ = stages.settings.rules.localize_only;
     localizer_ = std::make_unique<loop_localizer<Exec, Rig>>(stages, archive_.view());
     forget_all();
     beside_ = std::make_unique<work_beside<host_exec, search_type>>(
@@ -63,18 +64,18 @@ public:
   }
 
   void before_frame(int, bool, std::int64_t, std::int64_t) override {
-    input_->looked_up = loaded_ && (localize_only_ || looking_) && !was_there_ ? 1 : 0;
+    input_->looked_up = loaded_ && (rules_.localize_only || looking_) && !was_there_ ? 1 : 0;
   }
   void after_frame(Exec const& exec, stages_type const& stages) override {
     odometry_output const& out = stages.own.outputs[0];
     ++frame_;
     closed_now_ = 0;
-    if (localize_only_ && loaded_) { localize(exec, stages); }
+    if (rules_.localize_only && loaded_) { localize(exec, stages); }
     if (looking_) { find_in_loaded(exec, stages); }
     if (out.state != tracking_state::recovering) {
       was_there_ = out.state == tracking_state::tracking;
     }
-    if (localize_only_) { return; }
+    if (rules_.localize_only) { return; }
     map_ = out.maps;
     if (running_ && frame_ == ends_) { go_on(); }
     bool const kept = out.keyframe != 0 || (seeks() && out.state == tracking_state::tracking);
@@ -87,7 +88,7 @@ public:
   }
   void describe(int, std::int64_t, tracking& t) override {
     if (t.metric) { metric_map_ = t.maps; }
-    if (t.imu.known && !localize_only_ && of_first_part() && of_path(t.maps)) {
+    if (t.imu.known && !rules_.localize_only && of_first_part() && of_path(t.maps)) {
       path_.gravity = T_world_odom_.R * t.imu.gravity;
     }
     tell_correction(t);
@@ -99,7 +100,7 @@ public:
   }
   void reset(int) override { forget_all(); }
   odometry_map_view const* loaded_map() const override {
-    return localize_only_ && loaded_ ? &localizer_->loaded() : nullptr;
+    return rules_.localize_only && loaded_ ? &localizer_->loaded() : nullptr;
   }
   map_snapshot::writer save(Exec const& exec) const override {
     require(!awaits_scale_ || of_path(map_),
@@ -192,7 +193,7 @@ private:
       stay_beside(out);
       auto const T_world_camera = in_world(out.T_cw.inverse());
       if (localizer_->leaves(T_world_camera) &&
-          localizer_->place(exec, path_, T_world_camera, T_world_odom_)) {
+          localizer_->place(exec, path_, T_world_camera, T_world_odom_, rules_.first_wide_search)) {
         stay_beside(out);
       }
     } else if (find(exec, stages)) {
@@ -202,8 +203,9 @@ private:
   /// @return whether the frame is tracked now
   bool find(Exec const& exec, stages_type const& stages) {
     odometry_input const& in = stages.own.inputs[0];
-    auto const place = [&](similarity<double> const& T_world_camera) {
-      return localizer_->place(exec, path_, T_world_camera, T_world_odom_);
+    auto const place = [&](similarity<double> const& T_world_camera, bool roughly = false) {
+      float const wide = roughly ? rules_.later_wide_search : rules_.first_wide_search;
+      return localizer_->place(exec, path_, T_world_camera, T_world_odom_, wide);
     };
     if (in.predicted != 0 && place(in_world(in.T_cw.inverse()))) { return true; }
     int const row = archive_->rows - 1;  // of the margin
@@ -214,8 +216,9 @@ private:
       return place(path_.at(found->from).T_world_camera * found->T_from_to);
     }
     // Where it was, or the map ends: the frame itself was not searched for there.
-    return search.looks_like == 0 && in.looked_up != 0 &&
-           place(in_world(stages.own.outputs[0].T_cw.inverse()));
+    if (search.looks_like != 0 || in.looked_up == 0) { return false; }
+    auto const T_cw = localizer_->proposed(exec);
+    return place(in_world(T_cw.value_or(stages.own.outputs[0].T_cw).inverse()), !T_cw.has_value());
   }
   /// A camera is looked up in each frame after a map was loaded until there is a keyframe, and the
   /// map goes on there, or a new one that is joined with it.
@@ -341,7 +344,7 @@ private:
     searched_path_differs_ = true;
     T_world_odom_ = path_.T_world_odom();
     corrected_ = loaded_ = path_.size() > 0;
-    looking_ = loaded_ && !localize_only_;
+    looking_ = loaded_ && !rules_.localize_only;
     if (awaits_scale_ && loaded_) { metric_map_ = path_.keyframes.back().map; }
     if (loaded_) {
       localizer_->load(exec, path_, from.archive.view());
@@ -361,6 +364,7 @@ private:
   }
 
   loop_params params_;
+  tracking_rules rules_;
   odometry_input* input_;
   owner<loop_archive_view, Exec::space> archive_;
   loop_path path_;
@@ -380,7 +384,6 @@ private:
   bool loaded_ = false;                ///< the path began with that of a file
   std::exception_ptr failure_;         ///< of a search
   std::unique_ptr<loop_localizer<Exec, Rig>> localizer_;
-  bool localize_only_ = false;
   bool looking_ = false;    ///< a map was loaded that goes on, and no keyframe was made since
   bool was_there_ = false;  ///< the camera was tracked in it, and not lost for long since
   std::unique_ptr<saved_loops<staging_space<Exec>>>

@@ -190,8 +190,9 @@ def test_the_path_and_the_loops_of_a_correction_are_shown(recording, tmp_path):
     assert loops.tolist() == [[[0, 0, 0], [5, 0, 0]]]
     T = np.tile(np.eye(4), (4, 1, 1))
     T[:, 0, 3] = range(4)
-    made = view.Corrected.of({"T_world_camera": T, "map": np.array([1, 1, 1, 2]), "loaded": np.array([True, False, False, False])},
-                             {"from": np.array([0]), "to": np.array([2])})
+    placed = ft.PlacedKeyframes(np.arange(4), np.array([1, 1, 1, 2]), T, T, np.ones(4), np.array([True, False, False, False]))
+    one = np.zeros(1, np.int64)
+    made = view.Corrected.of(placed, ft.ClosedLoops(np.array([0]), np.array([2]), one, one, T[:1], np.ones(1), one))
     assert [piece[:, 0].tolist() for piece in made.path] == [[0], [1, 2], [3]]
     assert made.loops[0, :, 0].tolist() == [0, 2]
 

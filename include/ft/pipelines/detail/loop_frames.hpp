@@ -1,14 +1,48 @@
 // SPDX-License-Identifier: Apache-2.0
-/// @file A frame of an odometry as what is kept of it for loops.
+/// @file A frame of an odometry as what is kept of it for loops, and kept keyframes as they are
+/// seen.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+#include "ft/containers/loop_archive.hpp"
 #include "ft/core/config.hpp"
 #include "ft/kernels/loops/keep_keyframe.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
+#include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
+
+/// Median distance of the points of a row; 0 without any.
+inline double median_distance(loop_archive_view const& archive, int row) {
+  std::vector<float> all;
+  for (std::ptrdiff_t i = archive.at(row); i < archive.at(row) + archive.count[row]; ++i) {
+    all.push_back(dot(archive.point[i], archive.point[i]));
+  }
+  if (all.empty()) { return 0; }
+  auto const middle = all.begin() + static_cast<std::ptrdiff_t>(all.size() / 2);
+  std::nth_element(all.begin(), middle, all.end());
+  return std::sqrt(static_cast<double>(*middle));
+}
+
+/// Where a camera is, and which way it looks.
+struct camera_view {
+  vec3<double> at, ahead;
+  /// How far two and what they look at are from each other. @param far distance of that
+  double off(camera_view const& other, double far) const {
+    auto const shift = at - other.at;
+    auto const looks = shift + scaled(ahead - other.ahead, far);
+    return std::sqrt(dot(shift, shift)) + std::sqrt(dot(looks, looks));
+  }
+};
+inline camera_view view_of(rigid<double> const& T_camera) {
+  return {T_camera.t, T_camera.R * vec3<double>{0, 0, 1}};
+}
 
 /// The last frame with the depths of its keypoints: of one camera those of the map.
 template <typename Exec, typename Rig>

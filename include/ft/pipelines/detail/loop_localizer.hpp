@@ -22,6 +22,7 @@
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/settle_lost.hpp"
 #include "ft/kernels/search/workspace.hpp"
+#include "ft/pipelines/detail/loop_frames.hpp"
 #include "ft/pipelines/detail/loop_path.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
@@ -81,7 +82,7 @@ public:
     listed_.clear();
     for (int i = 0; i < path.size(); ++i) {
       path_keyframe const& of = path.at(i);
-      double const far = distance(archive, of.row), scale = of.T_world_camera.scale;
+      double const far = median_distance(archive, of.row), scale = of.T_world_camera.scale;
       kept_keyframe keyframe{view_of(without_scale(of.T_world_camera)),
                              view_of(of.T_odom_camera),
                              path.T_world_odom(i),
@@ -111,7 +112,7 @@ public:
 
   /// Whether the camera is outside of the keyframes in the map.
   bool leaves(similarity<double> const& T_world_camera) const {
-    view const from = view_of(without_scale(T_world_camera));
+    camera_view const from = view_of(without_scale(T_world_camera));
     constexpr double none = std::numeric_limits<double>::infinity();
     double best = none, least = none, far = 0;
     for (int const i : listed_) {
@@ -160,7 +161,7 @@ public:
   /// a page.
   int beside(rigid<double> const& T_odom_camera) const {
     if (is_page_) { return -1; }
-    view const from = view_of(T_odom_camera);
+    camera_view const from = view_of(T_odom_camera);
     double best = std::numeric_limits<double>::infinity();
     int nearest = -1;
     for (int const i : listed_) {
@@ -181,7 +182,7 @@ public:
   void order(Exec const& exec, rigid<double> const& T_odom_camera) {
     show_loaded(exec);
     exec.wait();  // for what is staged
-    view const from = view_of(T_odom_camera);
+    camera_view const from = view_of(T_odom_camera);
     double const far = kept(nearest()).far_in_map;
     for (ring_keyframe& r : farthest_first_) { r.off = r.seen.off(from, far); }
     std::sort(farthest_first_.begin(), farthest_first_.end(), [](auto const& a, auto const& b) {
@@ -223,38 +224,13 @@ private:
     pose_proposal* proposal = nullptr;
   };
 
-  /// Median distance of the points of a row; 0 without any.
-  static double distance(loop_archive_view const& archive, int row) {
-    std::vector<float> all;
-    for (std::ptrdiff_t i = archive.at(row); i < archive.at(row) + archive.count[row]; ++i) {
-      all.push_back(dot(archive.point[i], archive.point[i]));
-    }
-    if (all.empty()) { return 0; }
-    auto const middle = all.begin() + static_cast<std::ptrdiff_t>(all.size() / 2);
-    std::nth_element(all.begin(), middle, all.end());
-    return std::sqrt(static_cast<double>(*middle));
-  }
-
-  /// Where a camera is, and which way it looks.
-  struct view {
-    vec3<double> at, ahead;
-    /// How far two and what they look at are from each other. @param far distance of that
-    double off(view const& other, double far) const {
-      auto const shift = at - other.at;
-      auto const looks = shift + scaled(ahead - other.ahead, far);
-      return std::sqrt(dot(shift, shift)) + std::sqrt(dot(looks, looks));
-    }
-  };
-  static view view_of(rigid<double> const& T_camera) {
-    return {T_camera.t, T_camera.R * vec3<double>{0, 0, 1}};
-  }
   struct ring_keyframe {
     int position;
-    view seen;   ///< in the odometry's frame
-    double off;  ///< of order()
+    camera_view seen;  ///< in the odometry's frame
+    double off;        ///< of order()
   };
   struct kept_keyframe {
-    view in_world, in_odom;
+    camera_view in_world, in_odom;
     similarity<double> T_world_odom;  ///< of a camera beside it in the loaded map
     double far;                       ///< median distance of what it sees, metres
     double far_in_map;                ///< the same in the unit of its map
@@ -271,7 +247,7 @@ private:
   /// Lists the keyframes of the newest one's part by how far they and what they look at are from a
   /// camera and what it looks at.
   void sort_by_distance(similarity<double> const& T_world_camera) {
-    view const from = view_of(without_scale(T_world_camera));
+    camera_view const from = view_of(without_scale(T_world_camera));
     for (kept_keyframe& k : kept_) { k.off = k.in_world.off(from, k.far); }
     std::sort(order_.begin(), order_.end(), [this](int a, int b) {
       return kept(a).off < kept(b).off || (!(kept(b).off < kept(a).off) && a > b);

@@ -3,37 +3,28 @@
 #pragma once
 
 #include <algorithm>
-#include <utility>
 
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
-#include "ft/core/recording.hpp"
-#include "ft/kernels/map/apply_window.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/count_sightings.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
-#include "ft/kernels/odometry/begin_frame.hpp"
-#include "ft/kernels/odometry/fixed_keypoints.hpp"
 #include "ft/kernels/odometry/frame_facts.hpp"
-#include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/plan_search.hpp"
 #include "ft/kernels/odometry/propose_pose.hpp"
 #include "ft/kernels/odometry/refine_proposal.hpp"
 #include "ft/kernels/odometry/split_motions.hpp"
-#include "ft/kernels/stereo/refine_partners.hpp"
-#include "ft/pipelines/detail/frame_features.hpp"
-#include "ft/pipelines/detail/frame_stages.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
+#include "ft/pipelines/detail/odometry_first_stages.hpp"
 #include "ft/pipelines/detail/odometry_memory.hpp"
 #include "ft/pipelines/detail/odometry_packing.hpp"
 #include "ft/pipelines/detail/odometry_part.hpp"
-#include "ft/pipelines/detail/rolling_parts.hpp"
 #include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
@@ -45,99 +36,20 @@ namespace detail {
 /// The stages of a tracked frame, and those that choose its local map and keep its map. All are
 /// asynchronous on their executor and allocate nothing.
 template <typename Exec, typename Rig>
-class odometry_stages : public frame_stages<Exec, Rig> {
-  using base = frame_stages<Exec, Rig>;
+class odometry_stages : public odometry_first_stages<Exec, Rig> {
+  using base = odometry_first_stages<Exec, Rig>;
 
 public:
   using base::cameras;
   using base::memory;
+  using base::own;
+  using base::settings;
 
-  odometry_params settings;
-  odometry_memory<Exec> own;
   odometry_part_list<Exec, Rig> plugged;
-  typename rig_parts<Rig>::template input<Exec> input;
   /// Whether lost cameras begin a new map after the frame, not in it.
   bool recognizes_places = false;
   static constexpr bool starts_from_motion = rig_parts<Rig>::starts_from_motion;
   map_beginning<Exec, Rig> beginning;  ///< empty unless it starts from motion
-
-  // ---- the beginning, beside images and keypoints
-
-  side_branch<Exec>& beginning_branch() { return beginning_branch_; }
-  void read_inputs(Exec const& exec) const { read_odometry_inputs(exec, own.inputs, own.state); }
-  void apply_adjustment(Exec const& exec) const {
-    apply_window(exec, own.state.apply, own.window, own.sources, own.map, own.state.T_cw);
-  }
-  void predict(Exec const& exec) const {
-    predict_frames(exec, own.inputs, settings.rules, own.state, predictions());
-  }
-  /// Images alone: the other inputs come with read_inputs().
-  void upload(Exec const& exec, bool /*with_local*/) const {
-    input.upload(exec, this->extractor.stages());
-  }
-  bool pyramid_overlaps_upload() const {
-    return input.overlaps_pyramid && base::pyramid_overlaps_upload();
-  }
-
-  /// The frame's features, and memory of its images, change places with others.
-  void exchange_features(frame_features<Exec, Rig>& other) {
-    std::swap(input, other.input);
-    std::swap(this->extractor, other.extractor);
-    std::swap(this->matcher, other.matcher);
-    std::swap(memory.frame.grids, other.grids);
-    std::swap(grid_memory_, other.grid_memory);
-    std::swap(features_graph_, other.graph);
-    std::swap(features_number_, other.number);
-    this->point_frame_at_features();
-  }
-
-  /// Which set of features they are; 0 without others.
-  int features_number() const { return features_number_; }
-
-  /// Of two cameras that are not rectified, after match_stereo().
-  void refine_partners(Exec const& exec) const {
-    if constexpr (is_mixed_v<Rig>) {
-      this->matcher.refine_partners(exec, this->extractor);
-    } else {
-      ft::refine_partners(exec, this->rig, this->extractor.pyramid(), this->extractor.keypoints(),
-                          this->matcher.fisheye_matches());
-    }
-  }
-  static constexpr bool has_partners = !base::rectified || is_mixed_v<Rig>;
-
-  // ---- rolling shutters
-
-  rolling_keypoints<Exec, Rig> rolling;
-  bool rolls() const { return rolling.present(); }
-  void find_velocities(Exec const& exec) const {
-    rolling.find_velocities(exec, own.inputs, own.state);
-  }
-  /// After the first pose, whose motion is that of the frame: three launches.
-  void move_again(Exec const& exec) const {
-    rolling.refine_velocities(
-        exec, {memory.poses, memory.observations.inliers, settings.rules.min_motion_inliers},
-        own.state);
-    move_to_middle_rows(exec, memory.frame.keypoints);
-  }
-  /// After depths and partners, before what searches: two launches.
-  void move_to_middle_rows(Exec const& exec) const {
-    move_to_middle_rows(exec, this->unmoved_keypoints());
-  }
-  /// @param from keypoints where they are
-  void move_to_middle_rows(Exec const& exec, keypoints_view const& from) const {
-    typename rolling_keypoints<Exec, Rig>::template frames<typename base::searched_rig> in{};
-    in.rig = this->rig;
-    in.geometry = this->geometry();
-    in.frame = memory.frame;
-    in.frame.keypoints = from;
-    in.raw = this->extractor.keypoints();
-    // The matcher's own memory: nothing else reads it at that time.
-    in.depth = const_cast<float*>(this->matcher.depth());
-    in.right_x = const_cast<float*>(memory.frame.right_x);
-    in.point = this->matcher.fisheye_matches().point;
-    if constexpr (is_mixed_v<Rig>) { in.frame.partner = this->matcher.partners(); }
-    rolling.move(exec, in);
-  }
 
   // ---- parts, at points of the schedule
 
@@ -156,9 +68,6 @@ public:
     for (auto const& p : plugged) { ((*p).*at)(exec, *this); }
   }
   side_branch<Exec>& part_branch() { return part_branch_; }
-  predicted_frames predictions() const {
-    return {memory.motion.device.predicted, memory.last.T_cw, memory.motion.device.stamp};
-  }
 
   // ---- the local map
 
@@ -305,25 +214,6 @@ public:
     gather_window(exec, {own.state.gather, this->geometry(), settings.window}, own.map, own.window,
                   own.sources);
   }
-  /// Beside the frame's features.
-  void watch_images(Exec const& exec) const {
-    image_pyramid_view const images = this->extractor.pyramid();
-    ft::watch_images(exec, images, own.changes);
-    for_each_item<per_thread>(exec, own.state.batch, pack_changes{}, own.changes, images_of_rig(),
-                              images.absent, own.seen);
-  }
-  /// Beside the search from the last frame, after watch_images().
-  void mark_fixed(Exec const& exec) const {
-    mark_fixed_keypoints(exec, {memory.frame, this->extractor.keypoints(), this->geometry(),
-                                own.changes, fixed_disparity_, own.fixed});
-  }
-  /// Beside the search in the local map.
-  void pack_depths(Exec const& exec) const {
-    depths_of_frames in{memory.frame, this->matcher.depth(), rival_of(this->matcher),
-                        memory.result.depth_cameras};
-    in.distant = (this->rig.baseline_length() * distant_baselines).value;
-    for_each_item<per_block<256>>(exec, own.state.batch, detail::pack_depths{}, in, own.seen);
-  }
   /// What the host waits for. The frame's keyframe has not entered the map yet.
   void pack_outputs(Exec const& exec) const { pack_outputs(exec, own.weighed); }
   /// @param weighed null = camera_track::facts are complete
@@ -349,12 +239,12 @@ public:
   // ---- state
 
   allocated_bytes bytes() const {
-    return base::bytes() + allocated_bytes{grid_memory_.bytes() + rolling.bytes(), 0};
+    return base::bytes() + allocated_bytes{this->grid_memory_.bytes() + this->rolling.bytes(), 0};
   }
   /// @param runs adjustments in flight, at most
   void take_all_memory(Exec const& exec, int runs) {
-    if (rolls()) { this->moved = rolling.moved(); }
-    base::take_memory(input.images().sources());
+    if (this->rolls()) { this->moved = this->rolling.moved(); }
+    base::take_memory(this->input.images().sources());
     own.take(frame_shape::of<Rig>(this->capacity(), this->batch), settings, runs);
     if constexpr (Rig::images > 2 || is_mixed_v<Rig>) { own.may_miss_images(); }
     if constexpr (starts_from_motion) {
@@ -366,9 +256,9 @@ public:
     this->information = own.information;
     this->fixed = own.fixed;
     if constexpr (base::searched_rig::rectified && !starts_from_motion) {
-      fixed_disparity_ = this->rig.pair(0).camera.fx / settings.rules.near_depth;
+      this->fixed_disparity_ = this->rig.pair(0).camera.fx / settings.rules.near_depth;
     }
-    beginning_branch_.make();
+    this->beginning_branch_.make();
     part_branch_.make();
     static_cast<void>(exec);
   }
@@ -395,8 +285,8 @@ public:
 
   /// Forgets how the images of camera b changed. Asynchronous.
   void forget_images(Exec const& exec, int b) const {
-    fill_bytes(exec, own.changes.begun + b * images_of_rig(), 0,
-               static_cast<std::size_t>(images_of_rig()) * sizeof(int));
+    fill_bytes(exec, own.changes.begun + b * this->images_of_rig(), 0,
+               static_cast<std::size_t>(this->images_of_rig()) * sizeof(int));
   }
 
   /// Makes camera b one that was lost in the map that it has. Waits, and allocates.
@@ -446,13 +336,6 @@ private:
     return v;
   }
 
-  int images_of_rig() const { return this->extractor.pyramid().batch / this->batch; }
-
-  arena<Exec::space> grid_memory_;  ///< empty while the frame's grids are the first ones
-  recording<Exec> features_graph_;
-  int features_number_ = 0;
-  float fixed_disparity_ = 0;  ///< of mark_fixed_keypoints()
-  side_branch<Exec> beginning_branch_;
   side_branch<Exec> part_branch_;
 };
 

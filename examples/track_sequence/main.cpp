@@ -78,7 +78,7 @@ int run(app::arguments a, std::vector<std::string> const& words) {
   app::make_output_folder(a);
   seq::run_report report;
   app::timed_odometry odometry(app::make_odometry(a, setup, report.backend, report.device),
-                               setup.rig.kind);
+                               setup.rig);
   if (!a.read_ahead) { a.read_ahead = app::usual_read_ahead(report.backend); }
   describe(a, sequence, setup, odometry, report);
   report.version = std::to_string(ft::version_major) + "." + std::to_string(ft::version_minor) +

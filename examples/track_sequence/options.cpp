@@ -76,10 +76,11 @@ void add_tracking(CLI::App& app, arguments& a) {
       ->capture_default_str();
   app.add_option("--max-depth", a.max_depth, "metres; larger depths are taken for none")
       ->capture_default_str();
-  app.add_option("--readout", a.readout_ms,
-                 "ms from the first row of an image to the last one, of all cameras: those have "
-                 "rolling shutters, and stamps are those of the middle row; 0 = global shutters; "
-                 "default: the calibration's (Kalibr's line_delay), or 0");
+  app.add_option(
+      "--readout", a.readout_ms,
+      "ms from the first row of an image to the last one, of all cameras, as rectified: those "
+      "have rolling shutters, and stamps are those of the middle row; 0 = global shutters; "
+      "default: the calibration's (Kalibr's line_delay), or 0");
   app.add_option(
          "--features", a.features,
          "keypoints per image; default: the settings file's, or 1200 (2000 for wide images)")

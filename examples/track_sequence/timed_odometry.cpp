@@ -14,7 +14,7 @@ namespace app {
 namespace {
 
 /// The stages of a frame, in their order, and the whole.
-std::vector<std::string> stage_names_of(ft::rig_kind kind) {
+std::vector<std::string> stage_names_of(ft::rig_description const& rig) {
   std::vector<std::string> names = {"motion",
                                     "upload",
                                     "pyramid",
@@ -24,6 +24,7 @@ std::vector<std::string> stage_names_of(ft::rig_kind kind) {
                                     "order",
                                     "descriptors",
                                     "stereo",
+                                    "rolling shutter",
                                     "search last frame",
                                     "pose last frame",
                                     "update local map",
@@ -33,15 +34,18 @@ std::vector<std::string> stage_names_of(ft::rig_kind kind) {
                                     "result",
                                     "keyframe",
                                     "total"};
-  bool const monocular = kind == ft::rig_kind::monocular;
+  bool const monocular = rig.kind == ft::rig_kind::monocular;
   names.erase(std::find(names.begin(), names.end(), monocular ? "stereo" : "start"));
+  bool const rolls = std::any_of(rig.camera, rig.camera + rig.cameras,
+                                 [](auto const& camera) { return camera.readout_s > 0; });
+  if (!rolls) { names.erase(std::find(names.begin(), names.end(), "rolling shutter")); }
   return names;
 }
 
 }  // namespace
 
-timed_odometry::timed_odometry(ft::any_odometry odometry, ft::rig_kind kind)
-    : odometry_(std::move(odometry)), sums_(stage_names_of(kind)) {}
+timed_odometry::timed_odometry(ft::any_odometry odometry, ft::rig_description const& rig)
+    : odometry_(std::move(odometry)), sums_(stage_names_of(rig)) {}
 
 frame_outcome timed_odometry::track(ft::any_images const& images, std::int64_t time_ns) {
   return timed([&] { return odometry_.track(images, later_than_before(time_ns)); });

@@ -41,7 +41,7 @@ struct frame_outcome {
 /// Frames of one camera, or of one pair.
 class timed_odometry {
 public:
-  timed_odometry(ft::any_odometry odometry, ft::rig_kind kind);
+  timed_odometry(ft::any_odometry odometry, ft::rig_description const& rig);
 
   /// @param time_ns one that stands still or goes back is taken for one at the usual distance
   frame_outcome track(ft::any_images const& images, std::int64_t time_ns);

@@ -26,6 +26,8 @@ class Rectifier:
 
     def __init__(self, rig: DistortedPair, width: int, height: int, *, border: int = 0, threads: int = 0,
                  device: str = "auto") -> None:
+        if rig.readout_s > 0:
+            raise ValueError("readout_s is above 0: rectified images have other rows; an Odometry takes the DistortedPair itself")
         self._pipeline = _ft.RectificationPipeline(rig, width, height, border, threads, device)
         self.rig = RectifiedPair(rig.wanted, self._pipeline.baseline)  # that of the rectified images
 

@@ -2,6 +2,7 @@
 """Arrays that have a dimension of 0, at every entry that takes an array: an empty result, or ValueError with the argument's
 name. What is wrong here ends the interpreter."""
 
+import dataclasses
 import inspect
 import itertools
 
@@ -32,6 +33,11 @@ def odometry(rig=None, **options):
 
 def distorted(T_right_left=T, left=CAMERA, right=CAMERA, wanted=CAMERA):
     return ft.DistortedPair(left, right, T_right_left, wanted, (WIDTH, HEIGHT))
+
+
+def test_a_rectifier_refuses_rolling_shutters():
+    with pytest.raises(ValueError, match="readout_s"):
+        ft.Rectifier(dataclasses.replace(distorted(), readout_s=0.02), WIDTH, HEIGHT, device="host")
 
 
 def places(folder):

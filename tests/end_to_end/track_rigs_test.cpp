@@ -50,7 +50,7 @@ TEST(RollingShutter, TreatedHasAtMostHalfTheError) {
   std::string const sequence = generated(70, {"--width", "376", "--readout", "33"});
   temp_folder const treated;
   temp_folder const untreated;
-  ASSERT_TRUE(succeeded(track(sequence, treated.path("out"), {"--imu", "off"})));
+  ASSERT_TRUE(succeeded(track(sequence, treated.path("out"), {"--imu", "off", "--timing"})));
   ASSERT_TRUE(
       succeeded(track(sequence, untreated.path("out"), {"--imu", "off", "--readout", "0"})));
   auto const error_of = [](temp_folder const& run) {

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstdint>
 #include <random>
+#include <utility>
 
 namespace imu_clock_test {
 
@@ -39,6 +40,7 @@ struct setting {
   double spike_s = -1;                   ///< a sample of 34 rad/s
   int new_map = -1;                      ///< frame from which the world is another one
   ft::vec3<double> mounted = {0, 0, 0};  ///< rotation vector from the IMU to where it should be
+  bool swapped = false;                  ///< its x and y
 };
 
 imu_clock run(setting const& s, unsigned seed) {
@@ -65,6 +67,7 @@ imu_clock run(setting const& s, unsigned seed) {
         auto const in_imu =
             ft::detail::rotation_exp(s.mounted.cast<real64>()).transposed() * w.cast<real64>();
         w = in_imu.cast<double>();
+        if (s.swapped) { std::swap(w.x, w.y); }
         auto const n = noisy(2.4e-3);
         clock.add(sample_ns + offset_ns, {static_cast<float>(w.x + 0.02 + n.x.value),
                                           static_cast<float>(w.y - 0.01 + n.y.value),
@@ -231,6 +234,12 @@ TEST(ImuMisalignment, IsNotKnownWithoutTurnsAboutTwoAxes) {
   setting s;
   s.frames = 20;
   EXPECT_FALSE(misalignment(s).known) << "too few turns";
+  s = {};
+  s.swapped = true;
+  EXPECT_EQ(misalignment(s).sigma, 0) << "no rotation swaps axes";
+  s = {};
+  s.mounted = {0, 1.5, 0};
+  EXPECT_LT(apart(misalignment(s).turn, s.mounted), 0.1 * degree) << "nearly a right angle";
   EXPECT_EQ(imu_clock().misalignment().sigma, 0);
 }
 

@@ -76,6 +76,7 @@ public:
   static constexpr memory_space space = Exec::space;
 
   relocalizer() = default;
+  /// Read-out times of the rig are not used: keypoints are where a global shutter sees them.
   /// @throws bad_argument for an invalid rig, or parameters or a capacity out of range
   relocalizer(Rig const& rig, relocalization_params const& params,
               relocalizer_capacity const& capacity)

@@ -176,7 +176,7 @@ struct rolling_place {
   strict_double z;  ///< metres along the camera's axis; 0 = infinitely far
 };
 
-/// Item: a keypoint number of a frame. Of two partners the first one moves both: depths are its.
+/// Item: a keypoint number of a frame. Of two partners the left one moves both: depths are its.
 template <typename Rig, typename Rows>
 struct move_to_middle_row {
   using scratch = no_scratch;
@@ -190,7 +190,7 @@ struct move_to_middle_row {
     int const number = item % frame.numbers();
     if (number % frame.capacity() >= count(in, b, number)) { return; }
     int const other = partner(in, b, number);
-    if (other >= 0 && other < number) { return; }
+    if (other >= 0 && !is_left(in, number, other)) { return; }
     vec3<real> const seen = move(in, b, number, true, {real(0), real(0), real(0)});
     if (other >= 0) { move(in, b, other, false, seen); }
   }
@@ -205,6 +205,14 @@ private:
     int const* const of = in.frame.partner + static_cast<std::ptrdiff_t>(b) * in.frame.numbers();
     int const other = of[number];
     return other >= 0 && of[other] == number ? other : -1;
+  }
+  /// Of two partners.
+  FT_HOST_DEVICE static bool is_left([[maybe_unused]] frames const& in, int number, int other) {
+    if constexpr (is_mixed_v<Rig>) {
+      return in.rig.of[number / in.frame.capacity()].left != other / in.frame.capacity();
+    } else {
+      return number < other;
+    }
   }
   FT_HOST_DEVICE static bool differ(vec3<double> const& a, vec3<double> const& b) {
     return a.x != b.x || a.y != b.y || a.z != b.z;
@@ -332,9 +340,11 @@ private:
       if (in.right_x == nullptr || !(in.right_x[k] >= 0)) { return; }
       int const c = number / in.frame.capacity();
       real const bf = static_cast<double>(in.rig.pair(c).bf());
-      // One that leaves the image stays a match: nothing reads the right image any more.
-      real const right = max_of(to.x - bf / to.now.z, real(0));
-      in.right_x[k] = in.geometry.level_column(static_cast<float>(right.value), octave);
+      real const right = to.x - bf / to.now.z;
+      // One that leaves the image keeps its depth.
+      in.right_x[k] = right < real(0)
+                          ? -1.0f
+                          : in.geometry.level_column(static_cast<float>(right.value), octave);
     }
   }
 };

@@ -220,13 +220,10 @@ private:
       off[static_cast<std::size_t>(j)] = r;
       least = min_of(least, dot(r, r));
     }
-    if (!(least < real64(strange * strange))) { return; }
     real64 const keep = memory;
+    add_rotation(t, from, to, keep);
+    if (!(least < real64(strange * strange))) { return; }
     weight_ = keep * weight_ + real64(1.0);
-    std::int64_t const aside = saturated_difference(used_ns_, middle_ns_);
-    if (aside >= -reach_ns && aside <= reach_ns) {
-      rotation_.add({t.from_ns, t.to_ns, t.seen, measured(from + aside, to + aside)}, keep);
-    }
     times_ = keep * times_ + duration * duration;
     differences before{};  // the sum of those that overlap
     real64 before_s = 0.0;
@@ -249,6 +246,14 @@ private:
       last_[static_cast<std::size_t>(k)] = last_[static_cast<std::size_t>(k) - 1];
     }
     last_[0] = {to, duration, off};
+  }
+  /// However the IMU is turned, both turn by one angle.
+  void add_rotation(turn const& t, std::int64_t from, std::int64_t to, real64 keep) {
+    std::int64_t const aside = saturated_difference(used_ns_, middle_ns_);
+    if (aside < -reach_ns || aside > reach_ns) { return; }
+    strict_vec3d const g = measured(from + aside, to + aside);
+    if (!(scalar::abs(norm(t.seen) - norm(g)) < real64(strange))) { return; }
+    rotation_.add({t.from_ns, t.to_ns, t.seen, g}, keep);
   }
   /// What remains of the squares with the bias that suits them best.
   real64 cost(int j) const {

@@ -4,7 +4,8 @@
 /// With a rotation by an angle about an axis, a vector s is seen that was g; so s - g = c x (s + g)
 /// / 2, with c = 2 tan(angle / 2) axis (Cayley's form: exact). Here g is how the gyroscope turned
 /// between two images, and s how the images did. The least squares for c and the gyroscope's bias
-/// are linear. Turning about one axis alone does not tell the rotation about it.
+/// are linear. Turning about one axis alone does not tell the rotation about it; nor is a rotation
+/// by nearly half a turn told, whose tangent is infinite, or swapped axes, which are none.
 ///
 /// Turns that overlap may share their errors, as those of a map that drifts, or not, as those of
 /// single images. What remains of overlapping turns tells which: the covariance grows by the sum of
@@ -49,6 +50,7 @@ public:
     for (int k = kept_ < most ? kept_++ : most - 1; k > 0; --k) { last_[at(k)] = last_[at(k - 1)]; }
     last_[0] = now;
     count_ = keep * count_ + real64(1.0);
+    turned_ = keep * turned_ + dot(t.seen, t.seen);
     each_.add(now, now, keep);
     shared_.add(now, before, keep);
   }
@@ -70,6 +72,7 @@ public:
       }
     }
     real64 const rest = max_of(each_.product(x), real64(1e-12));
+    if (!(rest < real64(most_rest) * turned_)) { return out; }
     real64 const shared = shared_.product(x);
     real64 const variance = max_of(rest + shared + shared, rest) / degrees;
     out.sigma = scalar::sqrt(variance * real64(inverse[0] + inverse[7] + inverse[14])).value;
@@ -82,6 +85,7 @@ private:
   static constexpr int most = 16;                 ///< turns that overlap a later one are fewer
   static constexpr double fewest = 30;            ///< turns: fewer tell nothing
   static constexpr double most_sigma = 1.745e-3;  ///< rad: 0.1 degree
+  static constexpr double most_rest = 0.01;       ///< of squared turns: more, and it is no rotation
 
   /// off = J (c, bias)
   struct equations {
@@ -151,6 +155,7 @@ private:
   int kept_ = 0;                        ///< of them
   sums each_, shared_;                  ///< of turns with themselves, with overlapping earlier ones
   real64 count_ = 0.0;                  ///< of turns
+  real64 turned_ = 0.0;                 ///< sum of their squares
 };
 
 }  // namespace detail

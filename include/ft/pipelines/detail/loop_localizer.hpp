@@ -90,9 +90,13 @@ public:
                              far,
                              -1,
                              0};
+      double nearest = std::numeric_limits<double>::infinity();
       for (ring_keyframe const& r : ring_) {
         auto const p = static_cast<std::size_t>(r.position);
-        if (times[p] != of.time_ns) { continue; }
+        // Sessions may have the same times. Adjustments move a keyframe little.
+        double const off = keyframe.in_odom.off(r.seen, far);
+        if (times[p] != of.time_ns || off >= nearest || off > 0.25 * far) { continue; }
+        nearest = off;
         keyframe.in_loaded = r.position;
         // Adjustments have moved it since it was made, and its points with it.
         bool const moved = !path.loops.empty() && i + 1 < path.size();

@@ -140,7 +140,7 @@ private:
         match_by_descriptors(exec, s.geometry(), s.extractor.keypoints(), s.matcher.right_rows(),
                              params, memory_->proposals, matches);
       }
-      take_partners(exec, s.geometry(), sources(), s.memory.frame.keypoints, Rig::images, pair.bf(),
+      take_partners(exec, s.geometry(), sources(), s.unmoved_keypoints(), Rig::images, pair.bf(),
                     matches);
     }
   }

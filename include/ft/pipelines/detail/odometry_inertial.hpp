@@ -118,9 +118,16 @@ public:
     inputs_[b] = {seconds(from_ns), seconds(to_ns), min_of(n, params_.samples), anew ? 1 : 0,
                   clock_sigma(b, clock)};
   }
+  void after_frame(Exec const&, stages_type const& s) override {
+    for (int b = 0; b < batch_; ++b) {
+      looked_up_[static_cast<std::size_t>(b)] = s.own.inputs[b].looked_up;
+    }
+  }
   void describe(int b, std::int64_t time_ns, tracking& of) override {
     auto const i = static_cast<std::size_t>(b);
-    int const map = of.state == tracking_state::tracking ? of.maps : 0;
+    // The pose of one that was looked up came after what is known of its attitude.
+    bool const told = of.state == tracking_state::tracking && looked_up_[i] == 0;
+    int const map = told ? of.maps : 0;
     imu_tracking& out = of.imu;
     of.metric = of.metric || outputs_[b].metric != 0;
     out = imu_tracking_of(outputs_[b]);
@@ -227,6 +234,7 @@ private:
     offset_ns_.assign(b, nanoseconds(params.time_offset_s));
     turn_.assign(b, {});
     seen_map_.assign(b, 0);
+    looked_up_.assign(b, 0);
   }
   void initialize(Exec const& exec) {
     fill_bytes(exec, memory_.data(), 0, memory_.bytes());
@@ -316,7 +324,8 @@ private:
   std::vector<std::int64_t> base_ns_;
   std::vector<std::int64_t> offset_ns_;  ///< of the clocks, in use
   std::vector<turn_in_use> turn_;
-  std::vector<int> seen_map_;  ///< number of the map that the last frame was tracked in; 0 = none
+  std::vector<int> looked_up_;  ///< odometry_input::looked_up of the last frame
+  std::vector<int> seen_map_;   ///< number of the map that the last frame was tracked in; 0 = none
 };
 
 template <typename Exec, typename Rig>

@@ -17,7 +17,7 @@ constexpr page_colour panel_colour = {"#ffffff", "#181e27"};
 
 /// One per stage, in their order. Any two differ by at least 20 in CIEDE2000, neighbours in the
 /// stack by 40, and each has a contrast of at least 3 to the panel.
-constexpr std::array<page_colour, 16> stage_palette = {{
+constexpr std::array<page_colour, 17> stage_palette = {{
     {"#bb1144", "#886666"},
     {"#0077dd", "#55bb00"},
     {"#229955", "#99eeff"},
@@ -34,6 +34,7 @@ constexpr std::array<page_colour, 16> stage_palette = {{
     {"#aa1199", "#ee88ff"},
     {"#005533", "#ffdd11"},
     {"#997788", "#9999aa"},
+    {"#001111", "#ccff99"},
 }};
 
 }  // namespace seq::detail

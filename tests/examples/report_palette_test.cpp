@@ -150,8 +150,8 @@ TEST(report_palette, more_stages_than_colours_are_refused) {
     page_with(stage_palette.size() + 1);
     ADD_FAILURE() << "no exception";
   } catch (seq::error const& e) {
-    EXPECT_NE(std::string(e.what()).find("17 stages"), std::string::npos) << e.what();
-    EXPECT_NE(std::string(e.what()).find("16"), std::string::npos) << e.what();
+    EXPECT_NE(std::string(e.what()).find("18 stages"), std::string::npos) << e.what();
+    EXPECT_NE(std::string(e.what()).find("17"), std::string::npos) << e.what();
   }
 }
 

@@ -140,7 +140,7 @@ def test_every_public_entry_is_called_here(calls):
         "CalibrationWarning", "CalibrationWarning.count", "CalibrationWarning.index",
         "Frame", "ImageFeatures", "ImageFeatures.from_cv2", "ImageFeatures.of", "Keypoints", "Sequence", "Sequence.describe", "StereoMatches", "Stream", "Tracking", "devices", "read_sequence", "read_tum",
         "Keypoints.to_cv2", "Keypoints.to_numpy", "MapSnapshot", "MapSnapshot.tobytes", "Odometry", "Odometry.keypoints", "Odometry.map",
-        "Odometry.closed_loops", "Odometry.placed_keyframes", "Odometry.reset", "Odometry.save_map", "Odometry.snapshot_map", "Odometry.stage_times_us", "OrbExtractor", "PlaceRecognition",
+        "Odometry.closed_loops", "Odometry.placed_keyframes", "Odometry.reset", "Odometry.save_map", "Odometry.snapshot_map", "Odometry.stage_times_us", "ClosedLoops", "Map", "PlacedKeyframes", "TrackedKeypoints", "TrackedKeypoints.of_camera", "OrbExtractor", "PlaceRecognition",
         "PlaceRecognition.add", "PlaceRecognition.erase", "PlaceRecognition.query", "PlaceRecognition.words", "Rectifier",
         "Rectifier.map", "StereoMatcher", "Trajectory.write_euroc", "Trajectory.write_kitti", "Trajectory.write_tum",
         "check_calibration",

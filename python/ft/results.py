@@ -57,7 +57,7 @@ class PlacedKeyframes:
     """The keyframes as loops have corrected them, n of them, oldest first.
 
     time_ns: (n) int64. map: (n) int32, their map's number, which is that of the first of maps that loops have joined. T_odom_camera:
-    (n, 4, 4) float64 as they were tracked, T_world_camera as they are known now. scale: (n) float64 of the odometry's unit in
+    (n, 4, 4) float64, as they were tracked. T_world_camera: (n, 4, 4) float64, as they are known now. scale: (n) float64 of the odometry's unit in
     the world's, 1 but with a MonocularCamera without an IMU. loaded: (n) bool, whether it came with load_map().
     """
 

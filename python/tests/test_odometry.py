@@ -131,7 +131,7 @@ def test_columns_are_those_of_the_docstrings(walk):
         for field in dataclasses.fields(found):
             column = getattr(found, field.name)
             kind = "bool" if column.dtype == bool else column.dtype.name
-            assert re.search(rf"\b{field.name}\b[^.]*", told), field.name
+            assert re.search(rf"\b{field.name}\b[^.]*: \([^)]*\) {kind}\b", told), (field.name, kind)
             assert kind in str(field.type).replace("bool_", "bool"), (field.name, kind, field.type)
             with pytest.raises(dataclasses.FrozenInstanceError):
                 setattr(found, field.name, column)

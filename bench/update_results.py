@@ -545,8 +545,6 @@ def median_mm(lengths):
 TABLES = {
     "docs/scenarios.md": {
         "scenarios": scenario_rows,
-        "two motions": lambda: scenario_rows("scenarios_two_motions_host.json"),
-        "since": lambda: scenario_rows("scenarios_since_host.json"),
         "new seeds": lambda: scenario_rows("scenarios_new_seeds_host.json"),
         "wanted": wanted,
         "beside cuVSLAM": beside_cuvslam,

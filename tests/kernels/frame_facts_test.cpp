@@ -128,17 +128,18 @@ struct facts_of {
   template <typename Group, typename Rig>
   FT_HOST_DEVICE void operator()(Group g, scratch& s, int, Rig const& rig,
                                  ft::observations_view const& of, ft::pose const* T_cw,
-                                 ft::pose const* last, ft::pyramid_geometry const& geometry,
-                                 ft::frame_facts* out) const {
-    ft::frame_facts const f =
-        ft::detail::weigh_observations(g, s, 0, rig, of, *T_cw, *last, geometry, 0.0f);
+                                 ft::pose const* last, ft::pose const* uncorrected,
+                                 ft::pyramid_geometry const& geometry, ft::frame_facts* out) const {
+    ft::frame_facts const f = ft::detail::weigh_observations(g, s, 0, rig, of, *T_cw, *last,
+                                                             *uncorrected, geometry, 0.0f);
     if (g.rank() == 0) { *out = f; }
   }
 };
 
 template <typename Exec, typename Rig>
 ft::frame_facts weigh(Exec const& exec, Rig const& rig, std::vector<ft::observation> const& all,
-                      std::vector<unsigned char> const& outlier, double moved) {
+                      std::vector<unsigned char> const& outlier, double moved,
+                      double corrected = 0) {
   auto const items = test::to_exec(exec, all);
   auto const flags = test::to_exec(exec, outlier);
   auto const count = test::to_exec(exec, std::vector<int>{static_cast<int>(all.size())});
@@ -146,6 +147,8 @@ ft::frame_facts weigh(Exec const& exec, Rig const& rig, std::vector<ft::observat
   ft::rigid<double> T = ft::rigid<double>::identity();
   T.t.x = moved;
   auto const last = test::to_exec(exec, std::vector<ft::pose>{T.cast<float>()});
+  T.t.x = corrected;
+  auto const uncorrected = test::to_exec(exec, std::vector<ft::pose>{T.cast<float>()});
   auto const out = test::to_exec(exec, std::vector<ft::frame_facts>(1));
   ft::observations_view view;
   view.items = items.data();
@@ -154,8 +157,8 @@ ft::frame_facts weigh(Exec const& exec, Rig const& rig, std::vector<ft::observat
   view.capacity = static_cast<int>(all.size());
   ft::for_each_item<ft::per_block<128>>(
       exec, 1, facts_of{}, rig, view, static_cast<ft::pose const*>(now.data()),
-      static_cast<ft::pose const*>(last.data()), ft::pyramid_geometry::make(width, height, 1, 1.2f),
-      out.data());
+      static_cast<ft::pose const*>(last.data()), static_cast<ft::pose const*>(uncorrected.data()),
+      ft::pyramid_geometry::make(width, height, 1, 1.2f), out.data());
   return test::from_exec(exec, static_cast<ft::frame_facts const*>(out.data()), 1)[0];
 }
 
@@ -188,11 +191,15 @@ TYPED_TEST(FrameFacts, CountWhatMovesAndWhoseDepthsAgree) {
   EXPECT_EQ(rest.with_disparity, 300);
   EXPECT_EQ(rest.off_disparity, 0);
   EXPECT_EQ(rest.common_disparity, 0);
+  EXPECT_EQ(rest.shifted, 0);
   for (std::size_t i = 0; i < 90; ++i) { all[i].right_u += 3; }
   ft::frame_facts const moving = weigh(backend.exec, rig, all, outlier, 0.025);  // 2.5 pixels
   EXPECT_EQ(moving.resting, 0);
   EXPECT_EQ(moving.flowing, 260);
   EXPECT_EQ(moving.off_disparity, 90);
+  // A correction of 0.9 and of 1.1 pixels.
+  EXPECT_EQ(weigh(backend.exec, rig, all, outlier, 0.025, 0.009).shifted, 0);
+  EXPECT_EQ(weigh(backend.exec, rig, all, outlier, 0.025, -0.011).shifted, 260);
   // The right image is of another time: all disparities of a side err alike.
   for (ft::observation& o : all) { o.right_u = o.u - 10 + (o.u < 320 ? 1.5f : -1.5f); }
   ft::frame_facts const late = weigh(backend.exec, rig, all, outlier, 0.025);

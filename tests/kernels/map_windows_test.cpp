@@ -364,6 +364,7 @@ TYPED_TEST(MapWindows, ResultsChangeWhatIsStillThere) {
     ft::apply_window(r.exec, r.in.device.flags, r.in.device.problem, r.in.device.sources,
                      r.map.device, r.in.device.T_cw);
     std::vector<ft::rigid<double>> T_cw(r.in.host.T_cw, r.in.host.T_cw + batch);
+    auto const last = T_cw;
     for (int b = 0; b < batch; ++b) {
       auto& m = r.plain[test::index(b)];
       int const before = m.alive();
@@ -382,6 +383,11 @@ TYPED_TEST(MapWindows, ResultsChangeWhatIsStillThere) {
       }
       EXPECT_NEAR(r.in.host.T_cw[b].t.x, T_cw[test::index(b)].t.x, 1e-9);
       EXPECT_NEAR(r.in.host.T_cw[b].t.z, T_cw[test::index(b)].t.z, 1e-9);
+      // The correction is told, also where there is none.
+      auto const moved = last[test::index(b)] * r.in.host.sources.correction[b];
+      for (int i = 0; i < 9; ++i) { EXPECT_NEAR(moved.R.m[i], T_cw[test::index(b)].R.m[i], 1e-9); }
+      EXPECT_NEAR(moved.t.x, T_cw[test::index(b)].t.x, 1e-9);
+      EXPECT_NEAR(moved.t.z, T_cw[test::index(b)].t.z, 1e-9);
     }
     if (::testing::Test::HasFailure()) { return; }
   }

@@ -213,6 +213,8 @@ TEST(WarningsOfFrames, EachHasItsCause) {
        }},
       {warning::doubtful_pose, [](ft::tracking& t) { t.evidence.facts.evidence = 31; }},
       {warning::doubtful_pose, [](ft::tracking& t) { t.evidence.facts.common = 257; }},
+      {warning::doubtful_pose,
+       [](ft::tracking& t) { t.evidence.facts.shifted = t.inliers / 2 + 1; }},
       {warning::two_motions,
        [](ft::tracking& t) { t.evidence.facts.fixed = t.evidence.facts.dragged = 40; }},
       {warning::two_motions, [](ft::tracking& t) { t.evidence.facts.resting = 270; }},

@@ -140,7 +140,7 @@ public:
       frame_facts const& f = e.facts;
       bool const in_doubt =
           t.inliers > 0 && (errors_.judge(f.common, limits.common_errors, time_ns, limits) ||
-                            f.evidence < limits.least_evidence);
+                            f.evidence < limits.least_evidence || 2 * f.shifted > t.inliers);
       bool const errs_in_depth =
           !unlit && t.depths == depth_origin::stereo &&
           disparities_.judge(f.common_disparity, limits.common_disparities, time_ns, limits);
@@ -228,9 +228,10 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              " are asked for, and of the variance of errors neighbours share " +
              detail::share_of(f.common, 1024) + ", of " +
              detail::share_of(warning_limits{}.common_errors, 1) +
-             " at most, or a lost camera was found again; in this frame or in the last second, "
-             "or " +
-             "they shared more once and half of that since";
+             " at most, or a lost camera was found again, or an adjustment of the map moved " +
+             std::to_string(f.shifted) +
+             " of them by a pixel; in this frame or in the last second, or they shared more " +
+             "once and half of that since";
     case tracking_warning::two_motions:
       return std::to_string(f.dragged) + " keypoints are fixed to the camera while it moves, " +
              std::to_string(f.apart) + " agree with another motion than that of the pose, or " +

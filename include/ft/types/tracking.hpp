@@ -96,6 +96,8 @@ struct frame_facts {
                            ///< part has stayed for long
   int apart = 0;           ///< matches that agree with another motion than that of the pose, of
                            ///< frames after errors that neighbours share
+  int shifted = 0;         ///< inliers that an adjustment of the map, which ended with this frame,
+                           ///< has moved by a pixel, by how it moved the camera
   int held_before = 0;     ///< camera_track::held of the last frame
   int evidence = 0;        ///< of the inliers, bits
   int moving = 0;          ///< 1 = the last frame moved against the one before

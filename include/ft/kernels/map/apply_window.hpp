@@ -60,7 +60,10 @@ struct apply_to_keyframes {
                                  window_sources_view const& sources, odometry_map_view const& map,
                                  rigid<double>* T_cw) const {
     window_result const r{problem, sources, map, b};
-    if (!r.holds(flags[b])) { return; }
+    if (!r.holds(flags[b])) {
+      if (g.rank() == 0) { sources.correction[b] = rigid<double>::identity(); }
+      return;
+    }
     int const last = r.last();
     if (g.rank() == 0) {
       motion const before = r.T_cw(last).template cast<strict_double>();
@@ -271,6 +274,7 @@ private:
 ///   right column alone is far off only that is dropped.
 ///
 /// Where `outcome.valid` is 0, or the window's newest keyframe has gone, nothing is changed.
+/// `sources.correction` is C, or the identity where nothing is.
 /// Asynchronous on `exec`; allocates nothing; two launches.
 /// @param flags [batch] 1 = apply
 /// @param T_cw [batch] last pose of the camera, world to left camera, metres; in and out

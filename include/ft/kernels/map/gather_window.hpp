@@ -39,7 +39,7 @@ struct window_sources_view {
   int* left_out = nullptr;       ///< [batch] points for which there was no room
   int* point_of_slot = nullptr;  ///< [batch][slots] -1 = not in the window
   unsigned* chosen = nullptr;    ///< [batch][ceil(slots / 32)] workspace of gather_window
-  rigid<double>* correction = nullptr;  ///< [batch] workspace of apply_window: old to new camera
+  rigid<double>* correction = nullptr;  ///< [batch] of apply_window: old to new camera
                                         ///< frame of the window's newest keyframe, inverse
 };
 

@@ -104,16 +104,19 @@ struct facts_scratch {
 };
 
 /// What the observations of the last pose say. All threads of a group call.
-/// @param last pose of the last frame @param geometry of the images
+/// @param last pose of the last frame @param uncorrected T_cw as it would be without the adjustment
+/// that ended with this frame @param geometry of the images
 /// @param disparity_root as in pose_limits
 template <typename Group, typename Rig>
 FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, Rig const& rig,
                                               observations_view const& in, pose const& T_cw,
-                                              pose const& last, pyramid_geometry const& geometry,
+                                              pose const& last, pose const& uncorrected,
+                                              pyramid_geometry const& geometry,
                                               float disparity_root) {
   using real = strict_float;  // an eighth of a pixel is wanted
   auto const now = T_cw.template cast<real>();
   auto const before = last.template cast<real>();
+  auto const elsewhere = uncorrected.template cast<real>();
   constexpr int longest = 256;      // pixels
   auto const whole = [&](real v) {  // in eighths; a NaN is the longest
     float const e = 8.0f * v.value;
@@ -137,6 +140,9 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
       reprojection<Rig, real> const since(rig, before, o);
       int const dx = whole(since.error[0]), dy = whole(since.error[1]);
       n.flowing += static_cast<int>(length_of(dx, dy) >= 16);
+      reprojection<Rig, real> const there(rig, elsewhere, o);
+      int const sx = whole(there.error[0]) - x, sy = whole(there.error[1]) - y;
+      n.shifted += static_cast<int>(length_of(sx, sy) >= 8);
       reprojection<Rig, real> weighted = r;
       if (disparity_root > 0) { weighted.take_disparity(real(disparity_root)); }
       real chi2 = 0.0f;
@@ -168,7 +174,7 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
   }
   four_sums const a =
       g.reduce(four_sums{{n.flowing, n.with_disparity, n.off_disparity, n.resting}}, sum_op{});
-  four_sums const of_errors = g.reduce(four_sums{{n.misfit, n.rows, 0, 0}}, sum_op{});
+  four_sums const of_errors = g.reduce(four_sums{{n.misfit, n.rows, n.shifted, 0}}, sum_op{});
   g.sync();
   for (int k = g.part_index(); k < 2; k += g.parts()) {
     int const common = s.errors[k].common(g.part());
@@ -178,6 +184,7 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
   n.matches = in.count[b];
   n.misfit = of_errors.of[0];
   n.rows = of_errors.of[1];
+  n.shifted = of_errors.of[2];
   n.common = s.common[0];
   n.common_disparity = s.common[1];
   n.flowing = a.of[0];
@@ -191,11 +198,12 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
 template <typename Rig>
 struct weighed_frames {
   Rig rig;
-  observations_view observations;  ///< of the last pose
-  pose const* T_cw = nullptr;      ///< [batch] that pose
-  pose const* last = nullptr;      ///< [batch] of the last frame
-  pyramid_geometry geometry{};     ///< of the images
-  float disparity_root = 0;        ///< as in pose_limits
+  observations_view observations;             ///< of the last pose
+  pose const* T_cw = nullptr;                 ///< [batch] that pose
+  pose const* last = nullptr;                 ///< [batch] of the last frame
+  rigid<double> const* correction = nullptr;  ///< [batch] of apply_window()
+  pyramid_geometry geometry{};                ///< of the images
+  float disparity_root = 0;                   ///< as in pose_limits
 };
 
 /// Item: a camera.
@@ -207,8 +215,11 @@ struct weigh_frame {
                                  camera_track const* tracks, frame_facts* out) const {
     frame_facts facts{};
     if (tracks[b].plan != search_plan::nothing) {
+      auto const back = in.correction[b].template cast<strict_double>().inverse();
+      pose const uncorrected =
+          (in.T_cw[b].template cast<strict_double>() * back).template cast<float>();
       facts = weigh_observations(g, s, b, in.rig, in.observations, in.T_cw[b], in.last[b],
-                                 in.geometry, in.disparity_root);
+                                 uncorrected, in.geometry, in.disparity_root);
     }
     if (g.rank() == 0) { out[b] = facts; }
   }

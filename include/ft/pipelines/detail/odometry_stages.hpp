@@ -140,11 +140,12 @@ public:
   }
   /// Beside the judgement.
   void weigh(Exec const& exec) const {
-    weigh_frames(exec, own.state.batch,
-                 weighed_frames<typename base::searched_rig>{
-                     this->rig, memory.observations, memory.poses, memory.last.T_cw,
-                     this->geometry(), pose_limits::of(this->pose_settings).disparity_root},
-                 own.state.tracks, own.weighed);
+    weigh_frames(
+        exec, own.state.batch,
+        weighed_frames<typename base::searched_rig>{
+            this->rig, memory.observations, memory.poses, memory.last.T_cw, own.sources.correction,
+            this->geometry(), pose_limits::of(this->pose_settings).disparity_root},
+        own.state.tracks, own.weighed);
   }
   /// Beside the search in the local map.
   void count_chances(Exec const& exec) const {

@@ -41,6 +41,7 @@ struct setting {
   int new_map = -1;                      ///< frame from which the world is another one
   ft::vec3<double> mounted = {0, 0, 0};  ///< rotation vector from the IMU to where it should be
   bool swapped = false;                  ///< its x and y
+  bool mirrored = false;                 ///< its z
 };
 
 imu_clock run(setting const& s, unsigned seed) {
@@ -68,6 +69,7 @@ imu_clock run(setting const& s, unsigned seed) {
             ft::detail::rotation_exp(s.mounted.cast<real64>()).transposed() * w.cast<real64>();
         w = in_imu.cast<double>();
         if (s.swapped) { std::swap(w.x, w.y); }
+        if (s.mirrored) { w.z = -w.z; }
         auto const n = noisy(2.4e-3);
         clock.add(sample_ns + offset_ns, {static_cast<float>(w.x + 0.02 + n.x.value),
                                           static_cast<float>(w.y - 0.01 + n.y.value),
@@ -235,12 +237,53 @@ TEST(ImuMisalignment, IsNotKnownWithoutTurnsAboutTwoAxes) {
   s.frames = 20;
   EXPECT_FALSE(misalignment(s).known) << "too few turns";
   s = {};
-  s.swapped = true;
-  EXPECT_EQ(misalignment(s).sigma, 0) << "no rotation swaps axes";
-  s = {};
   s.mounted = {0, 1.5, 0};
   EXPECT_LT(apart(misalignment(s).turn, s.mounted), 0.1 * degree) << "nearly a right angle";
   EXPECT_EQ(imu_clock().misalignment().sigma, 0);
+}
+
+/// Angle between two rotations, rad: near half a turn vectors of one rotation point either way.
+double between(ft::vec3<double> a, ft::vec3<double> b) {
+  auto const R = ft::detail::rotation_exp(a.cast<real64>()).transposed() *
+                 ft::detail::rotation_exp(b.cast<real64>());
+  double const chord = std::sqrt(std::fmax(0, 3 - (R.m[0] + R.m[4] + R.m[8]).value));
+  return 2 * std::asin(std::fmin(1, chord / 2));
+}
+
+TEST(ImuMisalignment, IsFoundNearHalfATurn) {
+  for (ft::vec3<double> const axis : {ft::vec3<double>{1, 0, 0},
+                                      {0, -1, 0},
+                                      {0, 0, 1},
+                                      {1, 1, 0},
+                                      {-1, 0, 1},
+                                      {1, 1, 1},
+                                      {0.3, -0.8, 0.5}}) {
+    for (double const angle : {120.0, 150.0, 170.0, 179.0, 180.0}) {
+      setting s;
+      s.mounted = ft::scaled(axis, angle * degree / std::sqrt(dot(axis, axis)));
+      auto const m = misalignment(s, 2);
+      EXPECT_TRUE(m.known) << angle;
+      EXPECT_LT(between(m.turn, s.mounted), 0.1 * degree) << angle;
+      EXPECT_LT(between(m.turn, s.mounted), 4 * m.sigma) << angle;
+      EXPECT_NEAR(std::sqrt(dot(m.turn, m.turn)), angle * degree, 0.1 * degree) << angle;
+    }
+  }
+}
+
+// Axes that are swapped are a rotation if one of them is turned round, and else none.
+TEST(ImuMisalignment, OfSwappedAxesIsARotationOrNone) {
+  for (unsigned seed = 1; seed <= 3; ++seed) {
+    setting s;
+    s.swapped = true;
+    EXPECT_EQ(misalignment(s, seed).sigma, 0) << "swapped alone";
+    s.mirrored = true;
+    auto const m = misalignment(s, seed);
+    EXPECT_TRUE(m.known);
+    double const each = 180 * degree / std::sqrt(2.0);
+    EXPECT_LT(between(m.turn, {each, each, 0}), 0.1 * degree);
+    s.swapped = false;
+    EXPECT_EQ(misalignment(s, seed).sigma, 0) << "mirrored alone";
+  }
 }
 
 TEST(ImuMisalignment, SaysHowCertainItIs) {

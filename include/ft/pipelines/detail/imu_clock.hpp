@@ -21,6 +21,7 @@
 #include "ft/math/small_matrices.hpp"
 #include "ft/math/so3.hpp"
 #include "ft/pipelines/detail/imu_rotation.hpp"
+#include "ft/pipelines/detail/overlapping_turns.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"
 
@@ -180,9 +181,14 @@ private:
   };
   using differences = std::array<strict_vec3d, points>;
   struct taken_turn {
-    std::int64_t to_ns;
-    real64 duration;
-    differences off;
+    std::int64_t to_ns = 0;
+    real64 duration = 0.0;
+    differences off{};
+
+    void add(taken_turn const& t) {
+      duration = duration + t.duration;
+      for (std::size_t j = 0; j < points; ++j) { off[j] = off[j] + t.off[j]; }
+    }
   };
 
   std::int64_t on_its_clock(std::int64_t time_ns, std::int64_t later_ns) const {
@@ -191,7 +197,7 @@ private:
   void forget_turns() {
     sums_.fill({});
     weight_ = times_ = shared_times_ = 0.0;
-    taken_ = 0;
+    last_.clear();
   }
   void forget() {
     waiting_ = seen_ = 0;
@@ -211,13 +217,14 @@ private:
   void take(turn const& t) {
     std::int64_t const from = on_its_clock(t.from_ns, 0), to = on_its_clock(t.to_ns, 0);
     if (!turns_.covers(from - reach_ns, to + reach_ns)) { return; }
-    real64 const duration = static_cast<double>(to - from) * 1e-9;
-    differences off;
+    taken_turn now;
+    now.to_ns = to;
+    real64 const duration = now.duration = static_cast<double>(to - from) * 1e-9;
     real64 least = 1e30;
     for (int j = 0; j < points; ++j) {
       std::int64_t const d = (j - reach) * step_ns;
       strict_vec3d const r = t.seen - turn_ * measured(from + d, to + d);
-      off[static_cast<std::size_t>(j)] = r;
+      now.off[static_cast<std::size_t>(j)] = r;
       least = min_of(least, dot(r, r));
     }
     real64 const keep = memory;
@@ -225,27 +232,18 @@ private:
     if (!(least < real64(strange * strange))) { return; }
     weight_ = keep * weight_ + real64(1.0);
     times_ = keep * times_ + duration * duration;
-    differences before{};  // the sum of those that overlap
-    real64 before_s = 0.0;
-    for (int k = 0; k < taken_; ++k) {
-      taken_turn const& earlier = last_[static_cast<std::size_t>(k)];
-      if (earlier.to_ns <= from) { continue; }
-      before_s = before_s + earlier.duration;
-      for (std::size_t j = 0; j < points; ++j) { before[j] = before[j] + earlier.off[j]; }
-    }
-    shared_times_ = keep * shared_times_ + duration * before_s;
+    taken_turn const before = last_.sum_after(from);
+    shared_times_ = keep * shared_times_ + duration * before.duration;
     for (std::size_t j = 0; j < points; ++j) {
       sums& s = sums_[j];
-      s.squares = keep * s.squares + dot(off[j], off[j]);
-      s.by_time = scaled(s.by_time, keep) + scaled(off[j], duration);
-      s.shared = keep * s.shared + dot(off[j], before[j]);
-      s.shared_by_time =
-          scaled(s.shared_by_time, keep) + (scaled(before[j], duration) + scaled(off[j], before_s));
+      strict_vec3d const &r = now.off[j], &r0 = before.off[j];
+      s.squares = keep * s.squares + dot(r, r);
+      s.by_time = scaled(s.by_time, keep) + scaled(r, duration);
+      s.shared = keep * s.shared + dot(r, r0);
+      s.shared_by_time = scaled(s.shared_by_time, keep) +
+                         (scaled(r0, duration) + scaled(r, before.duration));
     }
-    for (int k = taken_ < images ? taken_++ : images - 1; k > 0; --k) {
-      last_[static_cast<std::size_t>(k)] = last_[static_cast<std::size_t>(k) - 1];
-    }
-    last_[0] = {to, duration, off};
+    last_.keep(now);
   }
   /// However the IMU is turned, both turn by one angle.
   void add_rotation(turn const& t, std::int64_t from, std::int64_t to, real64 keep) {
@@ -277,10 +275,9 @@ private:
   std::array<turn, pending> pairs_{};
   int waiting_ = 0;
   std::array<sums, points> sums_{};
-  real64 weight_ = 0.0, times_ = 0.0;      ///< turns; the sum of their squared durations
-  real64 shared_times_ = 0.0;              ///< of their products with those of overlapping ones
-  std::array<taken_turn, images> last_{};  ///< newest first
-  int taken_ = 0;                          ///< of them
+  real64 weight_ = 0.0, times_ = 0.0;  ///< turns; the sum of their squared durations
+  real64 shared_times_ = 0.0;          ///< of their products with those of overlapping ones
+  overlapping_turns<taken_turn, images> last_;
 };
 
 inline imu_clock_offset imu_clock::estimate() const {

@@ -4,8 +4,11 @@
 /// With a rotation by an angle about an axis, a vector s is seen that was g; so s - g = c x (s + g)
 /// / 2, with c = 2 tan(angle / 2) axis (Cayley's form: exact). Here g is how the gyroscope turned
 /// between two images, and s how the images did. The least squares for c and the gyroscope's bias
-/// are linear. Turning about one axis alone does not tell the rotation about it; nor is a rotation
-/// by nearly half a turn told, whose tangent is infinite, or swapped axes, which are none.
+/// are linear. The tangent of half a turn is infinite: so g is also turned by half a turn about
+/// each axis before. Of a quaternion's four parts one is at least a half, so that one of the four
+/// angles that remain is at most 120 degrees; the one that suits the turns best counts. Turning
+/// about one axis alone does not tell the rotation about it; nor are swapped axes told, which are
+/// no rotation.
 ///
 /// Turns that overlap may share their errors, as those of a map that drifts, or not, as those of
 /// single images. What remains of overlapping turns tells which: the covariance grows by the sum of
@@ -22,6 +25,7 @@
 #include "ft/math/positive_definite.hpp"
 #include "ft/math/small_matrices.hpp"
 #include "ft/math/so3.hpp"
+#include "ft/pipelines/detail/overlapping_turns.hpp"
 #include "ft/types/imu.hpp"
 #include "ft/types/poses.hpp"
 
@@ -42,54 +46,33 @@ public:
   void clear() { *this = {}; }
   /// @param t ends after those before it @param keep share of their weight that remains
   void add(turn const& t, real64 keep) {
-    equations const now = equations_of(t);
-    equations before{};  // the sum of those that overlap
-    for (int k = 0; k < kept_; ++k) {
-      if (last_[at(k)].to_ns > now.from_ns) { before.add(last_[at(k)]); }
-    }
-    for (int k = kept_ < most ? kept_++ : most - 1; k > 0; --k) { last_[at(k)] = last_[at(k - 1)]; }
-    last_[0] = now;
+    kept_turn const now = kept_turn::of_turn(t);
+    kept_turn const before = last_.sum_after(t.from_ns);
+    last_.keep(now);
     count_ = keep * count_ + real64(1.0);
     turned_ = keep * turned_ + dot(t.seen, t.seen);
-    each_.add(now, now, keep);
-    shared_.add(now, before, keep);
+    for (std::size_t h = 0; h < halves; ++h) {
+      each_[h].add(now.of[h], now.of[h], keep);
+      shared_[h].add(now.of[h], before.of[h], keep);
+    }
   }
   imu_misalignment estimate() const {
     imu_misalignment out;
     if (!(count_ > real64(fewest))) { return out; }
-    real64 const degrees = real64(3.0) * count_ - real64(6.0);
-    real64 upper[21];
-    for (int i = 0, n = 0; i < 6; ++i) {
-      for (int j = i; j < 6; ++j) { upper[n++] = each_.matrix(i, j); }
-    }
-    double inverse[36];
-    if (!invert_6(upper, inverse)) { return out; }
-    real64 x[6];
-    for (int i = 0; i < 6; ++i) {
-      x[i] = 0.0;
-      for (int j = 0; j < 6; ++j) {
-        x[i] = x[i] + real64(0.5 * inverse[6 * i + j]) * each_.right(j);
-      }
-    }
-    real64 const rest = max_of(each_.product(x), real64(1e-12));
-    if (!(rest < real64(most_rest) * turned_)) { return out; }
-    real64 const shared = shared_.product(x);
-    real64 const variance = max_of(rest + shared + shared, rest) / degrees;
-    out.sigma = scalar::sqrt(variance * real64(inverse[0] + inverse[7] + inverse[14])).value;
-    out.turn = rotation_log(rotation_of({x[0], x[1], x[2]})).template cast<double>();
-    out.known = out.sigma < most_sigma;
+    real64 least = real64(most_rest) * turned_;
+    for (std::size_t h = 0; h < halves; ++h) { take_better(h, least, out); }
     return out;
   }
 
 private:
   static constexpr int most = 16;                 ///< turns that overlap a later one are fewer
+  static constexpr std::size_t halves = 4;        ///< none, half a turn about x, y and z
   static constexpr double fewest = 30;            ///< turns: fewer tell nothing
   static constexpr double most_sigma = 1.745e-3;  ///< rad: 0.1 degree
   static constexpr double most_rest = 0.01;       ///< of squared turns: more, and it is no rotation
 
   /// off = J (c, bias)
   struct equations {
-    std::int64_t from_ns, to_ns;
     real64 J[3][6], off[3];
 
     void add(equations const& e) {
@@ -97,6 +80,20 @@ private:
         off[r] = off[r] + e.off[r];
         for (int i = 0; i < 6; ++i) { J[r][i] = J[r][i] + e.J[r][i]; }
       }
+    }
+  };
+  struct kept_turn {
+    std::int64_t to_ns;
+    equations of[halves];
+
+    static kept_turn of_turn(turn const& t) {
+      strict_vec3d const& g = t.measured;
+      return {t.to_ns,
+              {equations_of(t, g), equations_of(t, {g.x, -g.y, -g.z}),
+               equations_of(t, {-g.x, g.y, -g.z}), equations_of(t, {-g.x, -g.y, g.z})}};
+    }
+    void add(kept_turn const& t) {
+      for (std::size_t h = 0; h < halves; ++h) { of[h].add(t.of[h]); }
     }
   };
   /// Of pairs of turns: products of what remains with some x, as a quadratic form of it.
@@ -128,12 +125,11 @@ private:
     }
   };
 
-  static std::size_t at(int k) { return static_cast<std::size_t>(k); }
-  static equations equations_of(turn const& t) {
-    strict_vec3d const off = t.seen - t.measured;
-    strict_mat3d const M = cross_matrix(scaled(t.seen + t.measured, real64(-0.5)));
+  static equations equations_of(turn const& t, strict_vec3d const& g) {
+    strict_vec3d const off = t.seen - g;
+    strict_mat3d const M = cross_matrix(scaled(t.seen + g, real64(-0.5)));
     real64 const duration = static_cast<double>(t.to_ns - t.from_ns) * 1e-9;
-    equations e{t.from_ns, t.to_ns, {}, {off.x, off.y, off.z}};
+    equations e{{}, {off.x, off.y, off.z}};
     for (int r = 0; r < 3; ++r) {
       for (int i = 0; i < 3; ++i) {
         e.J[r][i] = M.m[3 * r + i];
@@ -142,20 +138,50 @@ private:
     }
     return e;
   }
-  static strict_mat3d rotation_of(strict_vec3d c) {
-    strict_mat3d const C = cross_matrix(c);
-    strict_mat3d const CC = C * C;
-    real64 const scale = real64(1.0) / (real64(1.0) + real64(0.25) * dot(c, c));
-    strict_mat3d R = strict_mat3d::identity();
-    for (int i = 0; i < 9; ++i) { R.m[i] = R.m[i] + scale * (C.m[i] + real64(0.5) * CC.m[i]); }
-    return R;
+  /// The solution after half a turn h, if less remains with it. @param[in,out] least that remains
+  void take_better(std::size_t h, real64& least, imu_misalignment& out) const {
+    real64 upper[21];
+    for (int i = 0, n = 0; i < 6; ++i) {
+      for (int j = i; j < 6; ++j) { upper[n++] = each_[h].matrix(i, j); }
+    }
+    double inverse[36];
+    if (!invert_6(upper, inverse)) { return; }
+    real64 x[6];
+    for (int i = 0; i < 6; ++i) {
+      x[i] = 0.0;
+      for (int j = 0; j < 6; ++j) {
+        x[i] = x[i] + real64(0.5 * inverse[6 * i + j]) * each_[h].right(j);
+      }
+    }
+    real64 const rest = max_of(each_[h].product(x), real64(1e-12));
+    if (!(rest < least)) { return; }
+    least = rest;
+    real64 const degrees = real64(3.0) * count_ - real64(6.0);
+    real64 const shared = shared_[h].product(x);
+    real64 const variance = max_of(rest + shared + shared, rest) / degrees;
+    out.sigma = scalar::sqrt(variance * real64(inverse[0] + inverse[7] + inverse[14])).value;
+    out.turn = rotation_vector_of({x[0], x[1], x[2]}, h).template cast<double>();
+    out.known = out.sigma < most_sigma;
+  }
+  /// Of half a turn h and then a turn by c, as a product of quaternions: no angle is too large.
+  static strict_vec3d rotation_vector_of(strict_vec3d const& c, std::size_t h) {
+    strict_vec3d axis = scaled(c, real64(0.5));
+    real64 w = 1.0;
+    if (h > 0) {
+      strict_vec3d const half{real64(h == 1 ? 1.0 : 0.0), real64(h == 2 ? 1.0 : 0.0),
+                              real64(h == 3 ? 1.0 : 0.0)};
+      w = -dot(axis, half);
+      axis = half + cross(axis, half);
+    }
+    if (w < real64(0.0)) { w = -w, axis = -axis; }
+    real64 const n = norm(axis);
+    return n > real64(0.0) ? scaled(axis, real64(2.0) * strict_atan2(n, w) / n) : axis;
   }
 
-  std::array<equations, most> last_{};  ///< newest first
-  int kept_ = 0;                        ///< of them
-  sums each_, shared_;                  ///< of turns with themselves, with overlapping earlier ones
-  real64 count_ = 0.0;                  ///< of turns
-  real64 turned_ = 0.0;                 ///< sum of their squares
+  overlapping_turns<kept_turn, most> last_;
+  std::array<sums, halves> each_, shared_;  ///< of turns with themselves, with earlier ones
+  real64 count_ = 0.0;                      ///< of turns
+  real64 turned_ = 0.0;                     ///< sum of their squares
 };
 
 }  // namespace detail

@@ -277,13 +277,18 @@ private:
     imu_misalignment const found = queue(b).misalignment();
     turn_in_use& used = turn_[static_cast<std::size_t>(b)];
     strict_mat3d const R = rotation_exp(found.turn.template cast<real64>());
-    strict_vec3d const change = rotation_log(used.R.template cast<real64>().transposed() * R);
-    if (!(found.sigma > 0) ||
-        !(std::sqrt(dot(change, change).value) > max_of(clear_sigmas * found.sigma, clear_turn))) {
+    if (!(found.sigma > 0) || !(angle_between(used.R.template cast<real64>(), R) >
+                                max_of(clear_sigmas * found.sigma, clear_turn))) {
       return false;
     }
     used = {R.template cast<double>(), R.template cast<float>(), found.turn, true};
     return true;
+  }
+  /// Of two rotations, rad, where it is small; of larger ones the chord, up to 2 at half a turn,
+  /// whose rotation vector rounding may turn round or lose.
+  static double angle_between(strict_mat3d const& a, strict_mat3d const& b) {
+    strict_mat3d const R = a.transposed() * b;
+    return std::sqrt(std::fmax(0, 3 - (R.m[0] + R.m[4] + R.m[8]).value));
   }
   /// A given offset is exact where it is not to be estimated.
   float clock_sigma(int b, imu_clock_offset const& found) const {

@@ -46,7 +46,9 @@ struct open_options {
   /// knows. Empty = the folder's.
   std::string calibration;
   /// Keeps fisheye (Kannala-Brandt) pairs and single cameras as they are; others are rectified on
-  /// load: a single camera to a pinhole. Mixed rigs are never rectified.
+  /// load: a single camera to a pinhole. Mixed rigs are never rectified. A rectified row of a
+  /// rolling shutter has one time, though the lens shows rows of several; with `mixed` times are
+  /// exact.
   bool keep_fisheye = true;
   /// Reads at most this many frames; 0 = all.
   int max_frames = 0;

@@ -75,7 +75,9 @@ double principal_point(double wanted, double focal, double last, double low, dou
 }
 
 // How many rows of the source a rectified row is, in the mean over the middle column: rows of
-// rolling shutters are read as those of the source.
+// rolling shutters are read as those of the source. Where the principal point moves up or down,
+// times are off by as much in all rows, and beside the middle column by the lens: 0.6 ms in the
+// mean of rows in 33 ms with lenses as EuRoC's, 2.6 ms in the corners.
 double rows_per_row(pixel_map const& map) {
   int first = -1;
   int last = -1;

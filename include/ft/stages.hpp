@@ -77,6 +77,7 @@
 #include "ft/kernels/inertial/preintegrate.hpp"
 #include "ft/kernels/inertial/select_samples.hpp"
 #include "ft/kernels/inertial/stored_state.hpp"
+#include "ft/kernels/keypoints/body_velocity.hpp"
 #include "ft/kernels/keypoints/describe_corners.hpp"
 #include "ft/kernels/keypoints/descriptor.hpp"
 #include "ft/kernels/keypoints/drop_edges.hpp"

@@ -100,6 +100,10 @@ struct frames {
   std::vector<float> depth, right_x;    ///< [batch][numbers]
   std::vector<int> partner;             ///< likewise, or none
   std::vector<ft::vec3<float>> points;  ///< [batch][capacity], or none
+  std::vector<int> holder;              ///< [batch][numbers], or none
+  std::vector<ft::vec3<float>> held;    ///< [batch][capacity] map points, if there are holders
+  std::vector<ft::pose> T_cw;           ///< [batch] likewise
+  std::vector<int> inliers = {30, 30};
 
   explicit frames(Rig const& of) : rig(of) {
     auto const n = test::at(batch * Rig::images * capacity);
@@ -161,6 +165,15 @@ struct frames {
     in.depth = const_cast<float*>(d.data());
     in.right_x = const_cast<float*>(r.data());
     in.point = points.empty() ? nullptr : const_cast<ft::vec3<float>*>(p.data());
+    ft::map_points<Exec::space> const map(capacity, batch);
+    ft::copy(exec, ft::array_of<ft::field::position>(map.view()), held.data(), held.size());
+    auto const slots = test::to_exec(exec, holder);
+    auto const poses = test::to_exec(exec, T_cw);
+    auto const agreed = test::to_exec(exec, inliers);
+    if (!holder.empty()) {
+      in.frame.holder = const_cast<int*>(slots.data());
+      in.held = {map.view(), {poses.data(), agreed.data(), 20}};
+    }
     ft::move_to_middle_rows(exec, in);
     answer out{test::column<ft::field::x>(exec, to.view()),
                test::column<ft::field::y>(exec, to.view()),
@@ -321,6 +334,64 @@ TYPED_TEST(rolling_shutter, at_rest_moves_nothing) {
       EXPECT_EQ(a.y[f.at(b, 0, i)], f.y[f.at(b, 0, i)]);
     }
   }
+}
+
+/// Once they hold map points, keypoints without a depth are moved anew, with the depths of these.
+TYPED_TEST(rolling_shutter, points_that_are_held_have_a_depth) {
+  using rig_type = ft::monocular_rig<ft::pinhole<float>>;
+  frames<rig_type> f(rig_type::make(plain_camera()));
+  test::generator random(9);
+  std::vector<sight> all;
+  motion const T_cw{ft::pose{{{0, 0, 1, 0, 1, 0, -1, 0, 0}}, {0.3f, -2, 5}}.cast<double>()};
+  f.T_cw.assign(2, T_cw.cast<float>());
+  f.held.assign(test::at(2 * capacity), {});
+  f.holder.assign(test::at(2 * capacity), -1);
+  for (int b = 0; b < f.batch; ++b) {
+    f.velocity[test::at(b)] = {{0.3, -0.8, 0.2}, {3, -1, 0.5}};
+    for (int i = 0; i < points; ++i) {
+      sight s{};
+      vec p{};
+      do {
+        p = random_point(random);
+      } while (!see(plain_camera().cast<double>(), motion::identity(), f.velocity[test::at(b)], p,
+                    row_of_pixel, s));
+      f.place(b, 0, i, s, random.below(levels));
+      auto const k = f.number(b, 0, i);
+      f.holder[k] = i % 3 == 0 ? -1 : points - 1 - i;
+      f.held[test::at(b * capacity + points - 1 - i)] = (T_cw.inverse() * p).cast<float>();
+      all.push_back(s);
+    }
+  }
+  frames<rig_type> first = f;
+  first.holder.clear();
+  answer const alone = answered<TypeParam>(first, rows_of_sensor());
+  frames<rig_type> second = f;
+  second.before = f.velocity;
+  second.raw_x = f.x;
+  second.raw_y = f.y;
+  second.x = alone.x;
+  second.y = alone.y;
+  second.inliers[1] = 19;  // a pose that says nothing
+  answer const a = answered<TypeParam>(second, rows_of_sensor());
+  auto const g = geometry();
+  double most = 0;
+  for (int b = 0; b < f.batch; ++b) {
+    for (int i = 0; i < points; ++i) {
+      auto const k = f.at(b, 0, i);
+      sight const& s = all[test::at(b * points + i)];
+      if (b == 1 || f.holder[f.number(b, 0, i)] < 0) {
+        EXPECT_EQ(a.x[k], alone.x[k]) << i;
+        continue;
+      }
+      // Its depth is that at the middle row's time.
+      EXPECT_NEAR(static_cast<double>(g.column(a.x[k], f.octave[k])), s.x0, 0.3) << i;
+      EXPECT_NEAR(static_cast<double>(g.row(a.y[k], f.octave[k])), s.y0, 0.3) << i;
+      most =
+          std::max(most, std::abs(static_cast<double>(g.column(alone.x[k], f.octave[k])) - s.x0));
+      EXPECT_EQ(a.depth[f.number(b, 0, i)], -1);
+    }
+  }
+  EXPECT_GT(most, 4) << "pixels: the depth is seen";
 }
 
 /// Two cameras on a body, which are not at its origin, each with a time of its own.

@@ -8,7 +8,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdint>
 
 #include "ft/cameras/camera_model.hpp"
 #include "ft/cameras/monocular_rig.hpp"
@@ -17,35 +16,17 @@
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/containers/map_points.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
-#include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/images/undistort.hpp"
-#include "ft/kernels/odometry/state.hpp"
+#include "ft/kernels/keypoints/body_velocity.hpp"
 #include "ft/math/se3.hpp"
 #include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
-
-/// How a body moves in its own frame: T_cw at t seconds after a frame is exp(t * (w, u)) times that
-/// of the frame. rad/s and m/s.
-struct body_velocity {
-  vec3<double> w, u;
-};
-/// By what the keypoints of a frame are moved.
-struct shutter_motion {
-  body_velocity before;  ///< by which they have been moved already
-  body_velocity now;     ///< by which they are to be moved in all
-};
-
-/// What the search from the last frame has found.
-struct first_poses {
-  pose const* T_cw;    ///< [batch]
-  int const* inliers;  ///< [batch]
-  int min_inliers;     ///< with fewer, a pose says nothing
-};
 
 /// When the rows of images are read, where the images are those of the sensor.
 /// @tparam Cameras of the rig
@@ -82,6 +63,12 @@ struct rectified_rows {
   }
 };
 
+/// Depths of keypoints that have none of their own: those of the map points that they hold.
+struct held_depths {
+  map_points_view map;                         ///< [batch]
+  first_poses seen_from{nullptr, nullptr, 0};  ///< T_cw null: such depths are not used
+};
+
 /// Frames whose rows were read one after the other.
 /// @tparam Rig of the keypoints @tparam Rows sensor_rows or rectified_rows
 template <typename Rig, typename Rows>
@@ -98,82 +85,17 @@ struct rolling_frames {
   float* depth = nullptr;
   float* right_x = nullptr;      ///< likewise; null without right images
   vec3<float>* point = nullptr;  ///< likewise, of a stereo_rig alone
+  held_depths held;
 };
 
 namespace detail {
-
-/// Mean velocity from a pose to another one. At rest where that is no number.
-FT_HOST_DEVICE inline body_velocity velocity_between(rigid<strict_double> const& from,
-                                                     rigid<strict_double> const& to,
-                                                     std::int64_t interval_ns) {
-  using real = strict_double;
-  twist const all = log_se3((to * from.inverse()).orthonormalized());
-  real const by = real(1e9) / real(static_cast<double>(interval_ns));
-  vec3<real> const w = scaled(all.w, by);
-  vec3<real> const u = scaled(all.u, by);
-  if (!scalar::is_finite(dot(w, w) + dot(u, u))) { return {{0, 0, 0}, {0, 0, 0}}; }
-  return {w.template cast<double>(), u.template cast<double>()};
-}
-
-/// Item: a camera of the odometry. How it moves, by its prediction.
-struct find_body_velocity {
-  using scratch = no_scratch;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int b, odometry_input const* inputs,
-                                 odometry_state_view const& state, shutter_motion* out) const {
-    using real = strict_double;
-    camera_track const& t = state.tracks[b];
-    body_velocity const rest{{0, 0, 0}, {0, 0, 0}};
-    out[b] = {rest, rest};
-    // Where the last pose is not known, the caller's prediction says nothing about the motion.
-    bool const lost = t.state != tracking_state::tracking;
-    if (!t.has_map() || t.interval_ns <= 0 || (lost && inputs[b].predicted != 0)) { return; }
-    out[b].now = velocity_between(state.T_cw[b].template cast<real>(),
-                                  t.predicted.template cast<real>(), t.interval_ns);
-  }
-};
-
-/// Item: a camera of the odometry. How it moves, by the first pose of the frame.
-struct refine_body_velocity {
-  using scratch = no_scratch;
-  using real = strict_double;
-
-  template <typename Group>
-  FT_HOST_DEVICE void operator()(Group, scratch&, int b, first_poses const& found,
-                                 odometry_state_view const& state, shutter_motion* out) const {
-    camera_track const& t = state.tracks[b];
-    out[b].before = out[b].now;
-    bool const knows = t.state == tracking_state::tracking && t.interval_ns > 0 &&
-                       found.inliers[b] >= found.min_inliers;
-    if (!knows) { return; }
-    body_velocity v = velocity_between(state.T_cw[b].template cast<real>(),
-                                       found.T_cw[b].template cast<real>(), t.interval_ns);
-    if (t.velocity.known()) {
-      // Both are means over an interval; what is wanted is that at the end of the later one.
-      body_velocity const last = velocity_between(
-          rigid<real>::identity(), t.velocity.motion.template cast<real>(), t.velocity.interval_ns);
-      real const mine = real(static_cast<double>(t.interval_ns));
-      real const share = mine / (mine + real(static_cast<double>(t.velocity.interval_ns)));
-      v = {further(last.w, v.w, share), further(last.u, v.u, share)};
-    }
-    out[b].now = v;
-  }
-
-private:
-  FT_HOST_DEVICE static vec3<double> further(vec3<double> const& a, vec3<double> const& b,
-                                             real share) {
-    auto const from = a.template cast<real>();
-    auto const to = b.template cast<real>();
-    return (to + scaled(to - from, share)).template cast<double>();
-  }
-};
 
 /// A keypoint where the camera sees it, and its depth.
 struct rolling_place {
   float x, y;  ///< as keypoints have them
   int octave;
-  strict_double z;  ///< metres along the camera's axis; 0 = infinitely far
+  strict_double z;    ///< metres along the camera's axis; 0 = infinitely far
+  bool held = false;  ///< z is that of its map point: before, it was moved as if it were far
 };
 
 /// Item: a keypoint number of a frame. Of two partners the left one moves both: depths are its.
@@ -275,6 +197,18 @@ private:
     }
   }
 
+  /// Of the map point that a keypoint holds, metres; 0 = it holds none, or is not asked for.
+  FT_HOST_DEVICE static real held_depth(frames const& in, int b, int number) {
+    first_poses const& from = in.held.seen_from;
+    if (from.T_cw == nullptr || from.inliers[b] < from.min_inliers) { return real(0); }
+    int const slot = in.frame.holder[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() + number];
+    if (slot < 0) { return real(0); }
+    vec3<real> const in_world = in.held.map.slice(b).position(slot).template cast<real>();
+    vec3<real> const in_body = from.T_cw[b].template cast<real>() * in_world;
+    real const z = to_camera(in.rig, number / in.frame.capacity(), in_body).z;
+    return z > real(0) ? z : real(0);
+  }
+
   /// Writes where a keypoint is seen at the middle row's time, and its depth.
   /// @param own whether its depth is its own; otherwise that of `body`, a point in the body's frame
   ///   or 0
@@ -291,19 +225,27 @@ private:
     moved.x(i) = at.x;
     moved.y(i) = at.y;
     shutter_motion const& v = in.motion[b];
-    if (!differ(v.before.w, v.now.w) && !differ(v.before.u, v.now.u)) { return nothing; }
     if (own) {
       at.z = depth_of(in, b, number, at.octave);
     } else if (dot(body, body) > real(0)) {
       at.z = to_camera(in.rig, c, body).z;
     }
+    if (!(at.z > real(0))) {
+      at.z = held_depth(in, b, number);
+      at.held = at.z > real(0);
+    }
+    bool const same = !differ(v.before.w, v.now.w) && !differ(v.before.u, v.now.u);
+    if (same && !(at.held && differ(v.now.u, {0, 0, 0}))) { return nothing; }
     real const t = time_of(in, image, c, i, at.octave);
     // The body at the row's time to that at the middle row's.
-    rigid<real> const T = moved_by(v.now, -t) * moved_by(v.before, t);
+    rigid<real> T = moved_by(v.now, -t);
+    rigid<real> const back = moved_by(v.before, t);
+    if (!at.held) { T = T * back; }
     return with_camera(in.rig, c, [&](auto const& camera) {
       pyramid_geometry const& g = in.geometry;
-      auto const seen = camera.unproject({real(static_cast<double>(g.column(at.x, at.octave))),
-                                          real(static_cast<double>(g.row(at.y, at.octave)))});
+      auto seen = camera.unproject({real(static_cast<double>(g.column(at.x, at.octave))),
+                                    real(static_cast<double>(g.row(at.y, at.octave)))});
+      if (at.held) { seen.direction = turned(in.rig, c, back.R, seen.direction); }
       bool const near = at.z > real(0) && seen.direction.z > real(0);
       vec3<real> const point =
           near ? to_body(in.rig, c, scaled(seen.direction, at.z / seen.direction.z)) : nothing;
@@ -317,7 +259,7 @@ private:
       if (!good) { return nothing; }
       moved.x(i) = g.level_column(x, at.octave);
       moved.y(i) = g.level_row(y, at.octave);
-      if (near && own) { write_depth(in, b, number, at.octave, {p.pixel.x, now, T}); }
+      if (near && own && !at.held) { write_depth(in, b, number, at.octave, {p.pixel.x, now, T}); }
       return point;
     });
   }
@@ -351,31 +293,12 @@ private:
 
 }  // namespace detail
 
-/// How cameras move at their current frames, by predict_frames(): as from the last frame to the
-/// prediction. At rest where there is no motion yet. Asynchronous on `exec`; allocates nothing; one
-/// launch.
-/// @param inputs [batch] host memory that the executor's threads can read
-/// @param out [batch]
-template <typename Exec>
-void find_body_velocities(Exec const& exec, odometry_input const* inputs,
-                          odometry_state_view const& state, shutter_motion* out) {
-  for_each_item<per_thread>(exec, state.batch, detail::find_body_velocity{}, inputs, state, out);
-}
-
-/// How they move by the first poses of the frames: the mean velocity since the last frame, and its
-/// change since the motion before, give that of the frame. Where too few agree with a pose, as it
-/// was. Asynchronous on `exec`; allocates nothing; one launch.
-/// @param out [batch] of find_body_velocities()
-template <typename Exec>
-void refine_body_velocities(Exec const& exec, first_poses const& found,
-                            odometry_state_view const& state, shutter_motion* out) {
-  for_each_item<per_thread>(exec, state.batch, detail::refine_body_velocity{}, found, state, out);
-}
-
 /// Moves keypoints to where the camera would see the same points at the time of the image's middle,
-/// with their depths and right columns; those without a depth as if they were infinitely far.
-/// Those that have been moved before are moved by the difference; `frame` has them then. Where
-/// nothing moves, positions are copied. Computed in double and rounded to float once.
+/// with their depths and right columns; those without a depth as if they were infinitely far, or as
+/// far as the map point that they hold. Those that have been moved before are moved by the
+/// difference; `frame` has them then. Where nothing moves, positions are copied. Computed in double
+/// and rounded to float once. Two partners are taken to have seen their point at one time: where
+/// their rows, or read-outs, differ, its depth errs by what the camera moved in between.
 /// Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig, typename Rows>
 void move_to_middle_rows(Exec const& exec, rolling_frames<Rig, Rows> const& in) {

@@ -240,8 +240,8 @@ private:
       s.squares = keep * s.squares + dot(r, r);
       s.by_time = scaled(s.by_time, keep) + scaled(r, duration);
       s.shared = keep * s.shared + dot(r, r0);
-      s.shared_by_time = scaled(s.shared_by_time, keep) +
-                         (scaled(r0, duration) + scaled(r, before.duration));
+      s.shared_by_time =
+          scaled(s.shared_by_time, keep) + (scaled(r0, duration) + scaled(r, before.duration));
     }
     last_.keep(now);
   }

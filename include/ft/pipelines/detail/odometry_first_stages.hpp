@@ -88,19 +88,21 @@ public:
   void find_velocities(Exec const& exec) const {
     rolling.find_velocities(exec, own.inputs, own.state);
   }
-  /// After the first pose, whose motion is that of the frame: three launches.
+  /// After the first pose, whose motion is that of the frame, and which tells the depths of matched
+  /// keypoints that have none of their own: three launches.
   void move_again(Exec const& exec) const {
-    rolling.refine_velocities(
-        exec, {memory.poses, memory.observations.inliers, settings.rules.min_motion_inliers},
-        own.state);
-    move_to_middle_rows(exec, memory.frame.keypoints);
+    first_poses const first{memory.poses, memory.observations.inliers,
+                            settings.rules.min_motion_inliers};
+    rolling.refine_velocities(exec, first, own.state);
+    move_to_middle_rows(exec, memory.frame.keypoints, {memory.map, first});
   }
   /// After depths and partners, before what searches: two launches.
   void move_to_middle_rows(Exec const& exec) const {
-    move_to_middle_rows(exec, this->unmoved_keypoints());
+    move_to_middle_rows(exec, this->unmoved_keypoints(), {});
   }
   /// @param from keypoints where they are
-  void move_to_middle_rows(Exec const& exec, keypoints_view const& from) const {
+  void move_to_middle_rows(Exec const& exec, keypoints_view const& from,
+                           held_depths const& held) const {
     typename rolling_keypoints<Exec, Rig>::template frames<typename base::searched_rig> in{};
     in.rig = this->rig;
     in.geometry = this->geometry();
@@ -111,6 +113,7 @@ public:
     in.depth = const_cast<float*>(this->matcher.depth());
     in.right_x = const_cast<float*>(memory.frame.right_x);
     in.point = this->matcher.fisheye_matches().point;
+    in.held = held;
     if constexpr (is_mixed_v<Rig>) { in.frame.partner = this->matcher.partners(); }
     rolling.move(exec, in);
   }

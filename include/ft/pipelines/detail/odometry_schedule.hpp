@@ -134,9 +134,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
     if (extent == frame_extent::prefetched) { queue_prefetched_motion(line, s); }
   }
   s.search_without_window(line.then("pose last frame"));
-  // Without depths keypoints are turned alone, so that the first pose turns too far or too little:
-  // the prediction is better.
-  if (s.rolls() && !Stages::starts_from_motion) { s.move_again(line.then("rolling shutter")); }
+  if (s.rolls()) { s.move_again(line.then("rolling shutter")); }
   s.plan_search(line.then("update local map"));
   s.choose_local(line.then("update local map"));
   s.list_local_map(line.then("search local map"));

@@ -5,7 +5,9 @@
 //
 //     loop_cases check                       a few: fails with a wrong loop, where no revisit
 //                                            is found or many images are lost, or a start is not
-//     loop_cases trials COUNT JOBS [KIND]    of kinds 0, 1 a third each, of 2, 3 a sixth; or of one
+//     loop_cases trials COUNT JOBS [KIND [SEED]]  of kinds 0, 1 a third each, of 2, 3 a sixth; or
+//     of
+//                                            one, -1: of all; of seeds SEED, SEED + 1, ...
 //     loop_cases starts COUNT JOBS [SEED]    the map grows; of seeds SEED, SEED + 1, ...
 //     loop_cases localize COUNT JOBS [SEED]  the map stays as it is
 //     loop_cases alike COUNT JOBS [SEED]     both, in stretches that look the same
@@ -57,8 +59,10 @@ int main(int argc, char** argv) {
     }
     if (argc < 4) { return usage(); }
     int const count = std::atoi(argv[2]), jobs = std::atoi(argv[3]);
-    if (what == "trials" && argc <= 5) {
-      loop_cases::run_trials(count, jobs, executor_maker(), argc == 5 ? std::atoi(argv[4]) : -1);
+    if (what == "trials" && argc <= 6) {
+      auto const seed = static_cast<unsigned>(argc == 6 ? std::atoi(argv[5]) : 0);
+      loop_cases::run_trials(count, jobs, executor_maker(), argc > 4 ? std::atoi(argv[4]) : -1,
+                             seed);
     } else if ((what == "starts" || what == "localize") && argc <= 5) {
       auto const seed = static_cast<unsigned>(argc == 5 ? std::atoi(argv[4]) : 0);
       loop_cases::run_starts(count, jobs, executor_maker(), what == "localize", seed);

@@ -25,6 +25,28 @@
 namespace ft {
 inline namespace FT_ABI {
 
+/// What is known of the motion between a row and the query: where a row's point may be seen.
+struct loop_bound {
+  pose T_query_row;  ///< as it is known
+  float shift = 0;   ///< metres that it may be off by, in [0, inf)
+  float turn = 0;    ///< rad that it may be off by, in [0, inf)
+
+  /// Whether a point of the row may be one of the query's: it is so near to the ray of that, in the
+  /// frame of the query's pose, as the motion is known, and as much farther as a turn takes it. The
+  /// depth of the query's point says nothing, for those of far points are not well known.
+  /// @param row, query metres, each in the frame of its pose
+  FT_HOST_DEVICE bool allows(vec3<float> const& row, vec3<float> const& query) const {
+    auto const p = T_query_row.template cast<strict_float>() * row.template cast<strict_float>();
+    auto const ray = query.template cast<strict_float>();
+    strict_float const distance2 = dot(p, p);
+    strict_float const reach = strict_float(shift) + strict_float(turn) * scalar::sqrt(distance2);
+    auto const off = cross(ray, p);
+    strict_float const reach2 = reach * reach;
+    return dot(off, off) <= reach2 * dot(ray, ray) &&
+           (strict_float(0.0f) < dot(ray, p) || distance2 <= reach2);
+  }
+};
+
 /// Rows of an archive, in executor memory.
 struct loop_rows {
   int query = 0;             ///< row that is looked for
@@ -32,6 +54,10 @@ struct loop_rows {
   int count = 0;
   /// Of one camera: whether the depths of the query's points are known.
   bool query_has_depths = true;
+  /// [count] of each row; null: nothing is known of any. A point of a row that the bound does not
+  /// allow is neither a match nor a rival of one: so what repeats is told apart where the motion is
+  /// known well enough, and only there.
+  loop_bound const* bound = nullptr;
 };
 
 /// Working memory of match_keyframes(), in executor memory. Nothing has to be initialised.
@@ -58,20 +84,37 @@ inline void carve(carver& c, loop_workspace& v, int capacity, int points) {
 
 namespace detail {
 
-/// The nearest of a row's descriptors if it is near, and nearer than the second by the ratio; else
-/// -1. By all threads of a group.
-template <typename Group>
-FT_HOST_DEVICE int nearest_in(Group g, descriptor const& mine, loop_archive_view const& a,
-                              int row) {
+/// The nearest of a row's descriptors that may be there if it is near, and nearer than the second
+/// by the ratio; else -1. By all threads of a group.
+template <typename Group, typename MayBe>
+FT_HOST_DEVICE int nearest_in(Group g, descriptor const& mine, loop_archive_view const& a, int row,
+                              MayBe const& may_be) {
   constexpr int most = descriptor_scale::near;
   descriptor const* const all = a.orb + a.at(row);
   two_nearest best;
   for (int k = g.rank(); k < a.count[row]; k += g.size()) {
+    if (!may_be(a.at(row) + k)) { continue; }
     best.add(search_distance_by_adders(mine, all[k]), k);
   }
   best = best.merged(g);
   return best.first <= most && 10 * best.first < 9 * best.second ? best.index : -1;
 }
+
+struct may_be_any {
+  FT_HOST_DEVICE bool operator()(std::ptrdiff_t) const { return true; }
+};
+/// Whether a point of an archive may be the one at `mine`, which is the query's or the row's.
+struct may_be_within {
+  loop_bound const* bound;  ///< null: it may be
+  vec3<float> const* point;
+  std::ptrdiff_t mine;
+  bool of_query;
+
+  FT_HOST_DEVICE bool operator()(std::ptrdiff_t other) const {
+    return bound == nullptr ||
+           bound->allows(point[of_query ? other : mine], point[of_query ? mine : other]);
+  }
+};
 
 /// Item: a descriptor of the query, and a row.
 struct vote_for_row {
@@ -85,7 +128,8 @@ struct vote_for_row {
     int const at = item % asked;
     if (at >= n) { return; }
     int const k = static_cast<int>(static_cast<long long>(at) * a.count[rows.query] / n);
-    int const found = nearest_in(g, a.orb[a.at(rows.query) + k], a, rows.row[item / asked]);
+    int const found =
+        nearest_in(g, a.orb[a.at(rows.query) + k], a, rows.row[item / asked], may_be_any{});
     if (g.rank() == 0 && found >= 0) { atomic_add(votes + item / asked, 1); }
   }
 };
@@ -104,7 +148,9 @@ struct match_row {
     int const mine = of_query ? rows.query : rows.row[r];
     int const other = of_query ? rows.row[r] : rows.query;
     if (i >= a.count[mine]) { return; }
-    int const found = nearest_in(g, a.orb[a.at(mine) + i], a, other);
+    may_be_within const may_be{rows.bound == nullptr ? nullptr : rows.bound + r, a.point,
+                               a.at(mine) + i, of_query};
+    int const found = nearest_in(g, a.orb[a.at(mine) + i], a, other, may_be);
     int* const to = of_query ? out.nearest_in_row : out.nearest_in_query;
     if (g.rank() == 0) { to[static_cast<std::ptrdiff_t>(r) * a.points + i] = found; }
   }
@@ -271,7 +317,8 @@ void vote_for_rows(Exec const& exec, loop_archive_view const& archive, loop_rows
                           votes);
 }
 
-/// Matches the query's keypoints with each row's points, all with all; finds the pose that most
+/// Matches the query's keypoints with each row's points, all with all that loop_rows::bound allows;
+/// finds the pose that most
 /// matches agree with, among 256 poses from three matches each of the camera with most; optimises
 /// it; and of one camera alone compares the depths. Asynchronous on `exec`; allocates nothing; two
 /// launches.

@@ -10,6 +10,8 @@
 
 #include "ft/containers/loop_archive.hpp"
 #include "ft/core/config.hpp"
+#include "ft/kernels/loops/match_keyframes.hpp"
+#include "ft/math/positive_definite.hpp"
 #include "ft/types/loops.hpp"
 #include "ft/types/poses.hpp"
 
@@ -149,6 +151,30 @@ struct loop_path {
            scaled_by <= static_cast<double>(params.max_scale_drift) &&
            angle(off.R) <= static_cast<double>(params.max_turn) + 0.01 * way;
   }
+  /// Whether a loop tells where a keyframe of the same map is better than the odometry does: so
+  /// much as that may have drifted. Views from far apart, and few matches, do not on a short way.
+  /// Of another map, or the one of a file, the odometry knows nothing.
+  bool tells(path_loop const& loop, loop_params const& params) const {
+    path_keyframe const& from = at(loop.from);
+    path_keyframe const& to = at(loop.to);
+    if (from.map != to.map || from.loaded != to.loaded) { return true; }
+    double covariance[36];  // of translation, then rotation
+    if (!invert_6(loop.information, covariance)) { return false; }
+    double const drift = static_cast<double>(params.max_drift) +
+                         (scaled ? static_cast<double>(params.max_scale_drift) : 0.0);
+    double const variance = covariance[0] + covariance[7] + covariance[14];
+    return to.T_world_camera.scale * std::sqrt(optimism * variance) <=
+           drift * way(loop.from, loop.to);
+  }
+  /// What the path knows of the motion between two keyframes of a part: it is off by no more than
+  /// fits() lets a loop correct. Not of a scaled one, in whose units rows are.
+  loop_bound bound(int from, int to, loop_params const& params, double baseline) const {
+    double const way = this->way(from, to);
+    auto const T = (at(to).T_world_camera.inverse() * at(from).T_world_camera).orthonormalized();
+    return {without_scale(T).template cast<float>(),
+            static_cast<float>(static_cast<double>(params.max_drift) * way + baseline),
+            static_cast<float>(static_cast<double>(params.max_turn) + 0.01 * way)};
+  }
   /// Units of the first map that one of another map is at most, and the same of their inverse: each
   /// begins with a median depth of 1, and scenes are not 100 times as deep as others.
   static constexpr double most_scale = 100;
@@ -185,8 +211,8 @@ struct loop_path {
                std::max(static_cast<double>(params.max_turn) + 0.01 * way, 0.5 * turned);
   }
   /// Whether two loops say the same of the pose of the part that they lead to, which is that of one
-  /// of its keyframes where they lead to the same: their difference is likely with 8 times the
-  /// covariance of either.
+  /// of its keyframes where they lead to the same: their difference is likely with
+  /// `optimism` times the covariance of either.
   bool agree(path_loop const& a, path_loop const& b) const {
     auto const from_a = at(a.from).T_world_camera * a.T_from_to;
     auto const from_b = at(b.from).T_world_camera * b.T_from_to *
@@ -200,7 +226,7 @@ struct loop_path {
       for (int i = 0, k = 0; i < 6; ++i) {
         for (int j = i; j < 6; ++j) { sum += (i == j ? 1 : 2) * of.information[k++] * e[i] * e[j]; }
       }
-      return sum / 8;
+      return sum / optimism;
     };
     double const likely = scaled ? 24.32 : 22.46;  // 99.9 % of 7 and 6 degrees of freedom
     return chi2(a) < likely && chi2(b) < likely;
@@ -324,6 +350,8 @@ private:
   int number(int i) const { return now_[static_cast<std::size_t>(i)]; }
   bool stays(int i) const { return number(i) >= 0 && (i == 0 || number(i) != number(i - 1)); }
 
+  /// Times its covariance a loop is uncertain: matches err alike where it is seen from elsewhere.
+  static constexpr double optimism = 8;
   static constexpr std::size_t most_joints = 32;
   static constexpr int most_thinned = 4;  ///< loops to a keyframe that others were joined with
 

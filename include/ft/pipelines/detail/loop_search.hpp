@@ -71,11 +71,13 @@ struct loop_search {
     int* rows = nullptr;   ///< [keyframes]
     int* votes = nullptr;  ///< [keyframes]
     loop_workspace work;
+    loop_bound* bound = nullptr;  ///< [3 groups]
     loop_match* found = nullptr;  ///< [3 groups]
   };
   struct staging {
     int* rows = nullptr;
     int* votes = nullptr;
+    loop_bound* bound = nullptr;
     loop_match* found = nullptr;
   };
   owner<memory, Exec::space> memory_;
@@ -88,11 +90,11 @@ struct loop_search {
     memory_ = owner<memory, Exec::space>([&](carver& c, memory& m) {
       c.place({archive.rows}, m.rows, m.votes);
       carve(c, m.work, most, archive.points);
-      c.place({most}, m.found);
+      c.place({most}, m.bound, m.found);
     });
     staging_ = owner<staging, staging_space<Exec>>([&](carver& c, staging& s) {
       c.place({archive.rows}, s.rows, s.votes);
-      c.place({most}, s.found);
+      c.place({most}, s.bound, s.found);
     });
     path.reserve(archive.rows, params.groups + more_to_join);
     corrected.reserve(archive.rows, params.groups + more_to_join);
@@ -261,11 +263,19 @@ private:
     memory const& m = memory_.view();
     staging const& s = staging_.view();
     int const n = static_cast<int>(group.size());
-    for (int i = 0; i < n; ++i) { s.rows[i] = path.at(group[static_cast<std::size_t>(i)]).row; }
+    // Of another part nothing is known, and the units of one camera may differ by anything.
+    bool const is_known = !path.scaled && path.at(group[0]).part == path.at(query()).part;
+    for (int i = 0; i < n; ++i) {
+      int const k = group[static_cast<std::size_t>(i)];
+      s.rows[i] = path.at(k).row;
+      if (is_known) { s.bound[i] = path.bound(k, query(), params, baseline()); }
+    }
     copy(exec, m.rows, static_cast<int const*>(s.rows), group.size());
-    match_keyframes(exec, rig, archive, {path.at(query()).row, m.rows, n, query_has_depths},
-                    static_cast<std::uint64_t>(path.at(query()).time_ns), pose_settings, m.work,
-                    m.found);
+    copy(exec, m.bound, static_cast<loop_bound const*>(s.bound), is_known ? group.size() : 0);
+    match_keyframes(
+        exec, rig, archive,
+        {path.at(query()).row, m.rows, n, query_has_depths, is_known ? m.bound : nullptr},
+        static_cast<std::uint64_t>(path.at(query()).time_ns), pose_settings, m.work, m.found);
     copy(exec, s.found, static_cast<loop_match const*>(m.found), group.size());
     exec.wait();
     std::vector<path_loop> loops;
@@ -284,7 +294,9 @@ private:
       edge_information(found.information, 0.5, loop.information);  // the points are as uncertain
       if (path.scaled) { set_scale(found, loop); }
       bool const joins = path.at(loop.from).part != path.at(loop.to).part;
-      if (joins || path.fits(loop, params, baseline())) { loops.push_back(loop); }
+      if (joins || (path.fits(loop, params, baseline()) && path.tells(loop, params))) {
+        loops.push_back(loop);
+      }
     }
     std::size_t const best = best_agreed(loops);
     if (best < loops.size()) { to.push_back(loops[best]); }

@@ -82,6 +82,19 @@ TEST(LoopBounds, AScaleThatDriftsIsCorrectedByWhatTellsLess) {
   EXPECT_FALSE(path.tells(l, {}));
 }
 
+TEST(LoopBounds, ViewsFromElsewhereAreNotAlike) {
+  constexpr double far = 3;  // metres of what is seen, by its information
+  for (double const apart : {0.0, 0.5, 1.19, 1.21, 3.0}) {
+    path_loop l = loop_between(0, 1, 0.01);
+    for (int const turn : {15, 18, 20}) { l.information[turn] *= 4 * far * far; }  // of a half
+    l.T_from_to = with_scale(test::turn({0.3, 1, 0.2}, 0.3, {0.6 * apart, 0, 0.8 * apart}));
+    EXPECT_EQ(loop_path::is_alike(l), apart < 1.2) << apart;
+    l.T_from_to.t = ft::scaled(l.T_from_to.t, 2.0);  // in units of the other one
+    l.T_from_to.scale = 2;
+    EXPECT_EQ(loop_path::is_alike(l), apart < 1.2) << apart;
+  }
+}
+
 TEST(LoopBounds, PointsThatAFittingLoopPutsTogetherAreWithinTheBound) {
   constexpr int n = 100;
   loop_path const path = to_and_fro(n);

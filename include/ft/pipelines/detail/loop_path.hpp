@@ -166,6 +166,15 @@ struct loop_path {
     return to.T_world_camera.scale * std::sqrt(optimism * variance) <=
            drift * way(loop.from, loop.to);
   }
+  /// Whether a loop is between views that differ by no more than `most_turned`, rad, of what they
+  /// see: matches of others err alike, by more than the loop's information says.
+  static bool is_alike(path_loop const& loop) {
+    auto const apart = loop.T_from_to.inverse().t;
+    double const(&I)[21] = loop.information;
+    // A turn moves a point as its distance times the turn does.
+    double const shifted = I[0] + I[6] + I[11], turned = (I[15] + I[18] + I[20]) / 4;
+    return dot(apart, apart) * shifted <= most_turned * most_turned * turned;
+  }
   /// What the path knows of the motion between two keyframes of a part: it is off by no more than
   /// fits() lets a loop correct. Not of a scaled one, in whose units rows are.
   loop_bound bound(int from, int to, loop_params const& params, double baseline) const {
@@ -352,6 +361,7 @@ private:
 
   /// Times its covariance a loop is uncertain: matches err alike where it is seen from elsewhere.
   static constexpr double optimism = 8;
+  static constexpr double most_turned = 0.4;
   static constexpr std::size_t most_joints = 32;
   static constexpr int most_thinned = 4;  ///< loops to a keyframe that others were joined with
 

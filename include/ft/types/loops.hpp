@@ -43,27 +43,27 @@ struct loop_params {
 ///
 /// Keyframes are kept with some of their keypoints. The newest one is compared with all that are
 /// kept and are not among the newest, one search after the other: by descriptors, then by a pose
-/// that most matches agree with. In the same map only points are matched that are where the odometry
-/// may have drifted to since, which tells the parts of a facade that repeats apart; where two alike
-/// ones are, neither is matched. One camera alone, whose unit drifts, does without. A loop is closed
-/// where two neighbouring keyframes say the same of that pose, what it corrects is no more than the
-/// odometry may have drifted since, it is less uncertain than that, both views are alike (0.4 rad
-/// apart, as seen from what they see), and no other place of those that were verified, that more
-/// than half as many matches agree with, contradicts it. A map that a lost camera begins is
-/// joined with an older one where two of its keyframes say the same; that of a camera that is not
-/// found in a loaded map where two of its first frames do. Before, each frame of such a camera is
-/// looked up itself. Then the poses of all keyframes are
-/// optimised, with an IMU that knew gravity before the first loop in heading and position alone.
-/// One camera alone has a unit of length that drifts: its poses are optimised with a scale each,
-/// which the depths that both keyframes know of their common points tell. With an IMU its keyframes
-/// are kept from when that has told the scale. That runs beside tracking, on a thread, and on a GPU
-/// on a stream of its own. A search takes a number of frames that depends on the number of
-/// keyframes alone, one where a camera is looked for that was not found in a loaded map. What it
-/// found enters after as many more as the counts of keyframes and loops say that the optimisation
-/// takes, which goes on in slices where it has not ended: each of them changes
-/// tracking::T_world_odom. A frame that comes sooner waits. The odometry itself is not changed: see
-/// tracking::T_odom_camera and T_world_odom. An exception of a search, such as bad_alloc, is thrown
-/// by the next track(), of which nothing has changed then.
+/// that most matches agree with. In the same map only points are matched that are where the
+/// odometry may have drifted to since, which tells the parts of a facade that repeats apart; where
+/// two alike ones are, neither is matched. One camera alone, whose unit drifts, does without. A
+/// loop is closed where two neighbouring keyframes say the same of that pose, what it corrects is
+/// no more than the odometry may have drifted since, it is less uncertain than that, both views are
+/// alike (0.4 rad apart, as seen from what they see), and no other place of those that were
+/// verified, that more than half as many matches agree with, contradicts it. A map that a lost
+/// camera begins is joined with an older one where two of its keyframes say the same; that of a
+/// camera that is not found in a loaded map where two of its first frames do. Before, each frame of
+/// such a camera is looked up itself. Then the poses of all keyframes are optimised, with an IMU
+/// that knew gravity before the first loop in heading and position alone. One camera alone has a
+/// unit of length that drifts: its poses are optimised with a scale each, which the depths that
+/// both keyframes know of their common points tell. With an IMU its keyframes are kept from when
+/// that has told the scale. That runs beside tracking, on a thread, and on a GPU on a stream of its
+/// own. A search takes a number of frames that depends on the number of keyframes alone, one where
+/// a camera is looked for that was not found in a loaded map. What it found enters after as many
+/// more as the counts of keyframes and loops say that the optimisation takes, which goes on in
+/// slices where it has not ended: each of them changes tracking::T_world_odom. A frame that comes
+/// sooner waits. The odometry itself is not changed: see tracking::T_odom_camera and T_world_odom.
+/// An exception of a search, such as bad_alloc, is thrown by the next track(), of which nothing has
+/// changed then.
 ///
 /// With tracking_rules::localize_only nothing of that: a camera that is not found in a loaded map
 /// is looked up among its keyframes in the same frame, which waits for it, and tracked in the map

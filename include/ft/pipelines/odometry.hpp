@@ -395,7 +395,7 @@ private:
     static_assert(counts[0] <= 1 && counts[1] <= 1 && counts[2] <= 1 && counts[3] <= 1,
                   "a part is plugged in once");
     if constexpr (known) {
-      return std::make_unique<engine>(exec, rig, params, batch, plugged...);
+      return engine::made(exec, rig, params, batch, plugged...);
     } else {
       return nullptr;
     }

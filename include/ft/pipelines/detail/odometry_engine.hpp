@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <string>
@@ -111,22 +112,25 @@ struct odometry_engine {
   std::unique_ptr<prefetch_type> prefetch;  ///< or none
   work_mark<Exec> frame_end;                ///< of the last frame
 
-  /// @param plugged parts, by their public names @throws bad_argument, std::bad_alloc, cuda_error
-  template <typename... Plugged>
+  /// Which parts are named.
+  struct named_parts {
+    bool inertial, loops, own_features;
+  };
+  /// Plugs them in. A function, so that one constructor is compiled for all that a program names.
+  using plug_parts = std::function<void(odometry_engine&)>;
+
+  /// @throws bad_argument, std::bad_alloc, cuda_error
   odometry_engine(Exec const& e, Rig const& of, odometry_params const& params, int batch,
-                  Plugged const&... plugged)
+                  named_parts const& with, plug_parts const& plug_all)
       : exec(e),
-        rig(checked(
-            of, params, batch,
-            {(std::is_same_v<Plugged, inertial> || ...), (std::is_same_v<Plugged, loops> || ...),
-             (std::is_same_v<Plugged, own_features> || ...)})),
+        rig(checked(of, params, batch, with)),
         given(params),
         launches(static_cast<std::size_t>(params.prefetch) + 1),
         results(static_cast<std::size_t>(batch)),
         times(results.size()),
         begun(results.size()),
         warnings(results.size()),
-        adjustments(prepared(params, batch, plugged...), stages.own, stages.plugged, stages.rig,
+        adjustments(prepared(params, batch, plug_all), stages.own, stages.plugged, stages.rig,
                     params) {
     if (params.measure_stages) {
       for (auto& of_set : launches) {
@@ -137,6 +141,25 @@ struct odometry_engine {
     last_clock = &launches_of(frame_extent::whole).clock;
     frame_end.make();
     record();
+  }
+  /// @param plugged parts, by their public names @throws likewise
+  template <typename... Plugged>
+  static std::unique_ptr<odometry_engine> made(Exec const& e, Rig const& of,
+                                               odometry_params const& params, int batch,
+                                               Plugged const&... plugged) {
+    return std::make_unique<odometry_engine>(
+        e, of, params, batch,
+        named_parts{(std::is_same_v<Plugged, inertial> || ...),
+                    (std::is_same_v<Plugged, loops> || ...),
+                    (std::is_same_v<Plugged, own_features> || ...)},
+        [&](odometry_engine& to) { (to.plug(make_part(plugged, to.exec, to.stages)), ...); });
+  }
+  void plug(std::unique_ptr<odometry_part<Exec, Rig>> part) {
+    if (part == nullptr) { return; }
+    // An IMU is the first one: others ask what it knows.
+    bool const is_first = part->samples(0) != nullptr;
+    auto const at = is_first ? stages.plugged.begin() : stages.plugged.end();
+    stages.plugged.insert(at, std::move(part));
   }
   /// Waits for the end of the last frame, which uses the memory and the recordings.
   ~odometry_engine() {
@@ -234,8 +257,7 @@ private:
   }
 
   /// Takes all memory and initialises it.
-  template <typename... Plugged>
-  Exec const& prepared(odometry_params const& params, int batch, Plugged const&... plugged) {
+  Exec const& prepared(odometry_params const& params, int batch, plug_parts const& plug_all) {
     stages.settings = params;
     if (params.imu.present) {
       stages.settings.rules.keyframe_period_s = params.imu.keyframe_period_s;
@@ -260,15 +282,8 @@ private:
     stages.take_all_memory(exec, params.adjustment_delay);
     stages.initialize_all(exec);
     exec.wait();
-    (plug(make_part(plugged, exec, stages)), ...);
+    plug_all(*this);
     return exec;
-  }
-  void plug(std::unique_ptr<odometry_part<Exec, Rig>> part) {
-    if (part == nullptr) { return; }
-    // An IMU is the first one: others ask what it knows.
-    bool const is_first = part->samples(0) != nullptr;
-    auto const at = is_first ? stages.plugged.begin() : stages.plugged.end();
-    stages.plugged.insert(at, std::move(part));
   }
 
   void set_inputs(std::int64_t const* time_ns, frame_extent extent) {
@@ -313,10 +328,6 @@ private:
     if (!stages_type::starts_from_motion) { return 0; }
     return p.start_features != 0 ? p.start_features : min_of(5 * p.features, 1 << 20);
   }
-  /// Which parts are named.
-  struct named_parts {
-    bool inertial, loops, own_features;
-  };
   static Rig const& checked(Rig const& rig, odometry_params const& p, int batch,
                             named_parts const& with) {
     rig.check();

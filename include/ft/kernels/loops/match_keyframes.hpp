@@ -159,7 +159,6 @@ struct match_row {
 /// Item: a row. The pose of the query against it.
 template <typename Rig>
 struct place_query {
-  static constexpr bool wide_on_host = true;
   static constexpr int least = 8;  ///< matches, to look for a pose
   using scratch = pose_scratch;
   Rig rig;

@@ -28,7 +28,6 @@ namespace detail {
 /// Item: a camera.
 template <typename Rig>
 struct refine_proposal {
-  static constexpr bool wide_on_host = true;
   struct scratch {
     pose_scratch pose;
     double covariance[36];

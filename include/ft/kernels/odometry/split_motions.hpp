@@ -26,7 +26,6 @@ namespace detail {
 /// Item: a camera.
 template <typename Rig>
 struct split_motions_of_frame {
-  static constexpr bool wide_on_host = true;
   /// Parameters that functions refer to. References to those of a kernel would make each thread of
   /// each launch copy them.
   struct inputs {

@@ -9,7 +9,7 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_described(odometry_request const& of) {
+FT_LIBRARY_FACTORY any_odometry make_described(odometry_request const& of) {
   rig_description const& rig = of.rig;
   if (rig.kind == rig_kind::rectified_pair) { return made_of_features(of, rectified_pair_of(rig)); }
   if (rig.kind == rig_kind::rgbd) { return made_of_features(of, rgbd_of(rig, pinhole_of(rig, 0))); }

@@ -12,6 +12,13 @@
 #define FT_LIBRARY_DEVICE FT_BACKEND
 #endif
 
+// A unit with FT_STAGES_ALONE has the stages that a factory needs, not the factory.
+#if defined(FT_STAGES_ALONE)
+#define FT_LIBRARY_FACTORY inline
+#else
+#define FT_LIBRARY_FACTORY
+#endif
+
 namespace ft::library {
 
 /// The arguments of make_odometry().

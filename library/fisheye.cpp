@@ -4,6 +4,8 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_fisheye(odometry_request const& of) { return made(of, fisheye_pair_of(of.rig)); }
+FT_LIBRARY_FACTORY any_odometry make_fisheye(odometry_request const& of) {
+  return made(of, fisheye_pair_of(of.rig));
+}
 
 }  // namespace ft::library::FT_LIBRARY_DEVICE

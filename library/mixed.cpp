@@ -4,7 +4,7 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_mixed(odometry_request const& of) {
+FT_LIBRARY_FACTORY any_odometry make_mixed(odometry_request const& of) {
   return made(of, mixed_of<most_cameras>(of.rig));
 }
 

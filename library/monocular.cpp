@@ -4,7 +4,7 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_monocular(odometry_request const& of) {
+FT_LIBRARY_FACTORY any_odometry make_monocular(odometry_request const& of) {
   rig_description const& rig = of.rig;
   auto const with = [&](auto const& camera) {
     auto one = monocular_rig<std::decay_t<decltype(camera)>>::make(camera);

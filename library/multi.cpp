@@ -4,7 +4,7 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_multi(odometry_request const& of) {
+FT_LIBRARY_FACTORY any_odometry make_multi(odometry_request const& of) {
   rig_description const& rig = of.rig;
   // Two sizes for all numbers: each one takes the compiler a minute.
   if (rig.cameras <= 4) { return made(of, multi_of<4>(rig)); }

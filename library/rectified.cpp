@@ -6,7 +6,7 @@
 
 namespace ft::library::FT_LIBRARY_DEVICE {
 
-any_odometry make_rectified(odometry_request const& of) {
+FT_LIBRARY_FACTORY any_odometry make_rectified(odometry_request const& of) {
   rig_description const& rig = of.rig;
   switch (rig.kind) {
     case rig_kind::rectified_pair:

@@ -85,6 +85,16 @@
 #define FT_OUT_OF_LINE
 #endif
 
+/// FT_STAGES_ALONE, of ft's own library: the unit compiles all host stages that its functions call,
+/// and not the functions, if these are inline and nobody calls them. With FT_STAGES_ELSEWHERE the
+/// same text is the other half. So stages are optimised, and what launches them a few times a frame
+/// takes the compiler little.
+#if defined(FT_STAGES_ALONE)
+#define FT_EMITTED __attribute__((used))
+#else
+#define FT_EMITTED
+#endif
+
 #if defined(__CUDA_ARCH__)
 #define FT_UNROLL _Pragma("unroll")
 #define FT_NO_UNROLL _Pragma("unroll 1")

@@ -149,8 +149,8 @@ private:
 
 /// Runs op(group, scratch, item, args...) for every item in [0, items). Items are independent.
 template <typename Shape, typename Op, typename... Args>
-FT_OUT_OF_LINE void for_each_item(host_exec const& exec, int items, Op const& op,
-                                  Args const&... args)
+FT_OUT_OF_LINE FT_EMITTED void for_each_item(host_exec const& exec, int items, Op const& op,
+                                             Args const&... args)
 #if defined(FT_STAGES_ELSEWHERE)
     ;
 #else

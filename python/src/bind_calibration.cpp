@@ -14,7 +14,7 @@ namespace {
 
 using found = std::vector<std::pair<std::string, std::string>>;
 
-found plain(std::vector<ft::calibration_finding> const& given) {
+found findings_of(std::vector<ft::calibration_finding> const& given) {
   found all;
   for (auto const& f : given) { all.emplace_back(ft::name_of(f.warning), f.text); }
   return all;
@@ -22,7 +22,7 @@ found plain(std::vector<ft::calibration_finding> const& given) {
 
 template <typename Rig>
 found check(Rig const& rig, int width, int height) {
-  return plain(ft::check_calibration(rig, width, height));
+  return findings_of(ft::check_calibration(rig, width, height));
 }
 
 /// Makes no rig, for that throws what is to be found.

@@ -688,9 +688,10 @@ void bind_tracking(nb::module_& m) {
           "(offset, standard deviation) of the IMU's clock as found by how camera and IMU turn, "
           "seconds; None while that tells it not within a millisecond")
       .def_prop_ro(
-          "imu_turn", [](tracking const& t) { return to_numpy(t.of.imu.turn); },
+          "imu_turn_in_use", [](tracking const& t) { return to_numpy(t.of.imu.turn); },
           "(3,) in use: rotation vector by which samples are turned before they are used, from the "
-          "IMU's frame as they come to that which T_bc says, rad; zeros until a turn was found")
+          "IMU's frame as they come to that which T_bc says, rad; zeros until a turn was found, "
+          "without an IMU, and of one camera")
       .def_prop_ro(
           "imu_misalignment",
           [](tracking const& t) -> nb::object {
@@ -700,7 +701,8 @@ void bind_tracking(nb::module_& m) {
                                   off.sigma);
           },
           "(rotation vector, standard deviation) by which the IMU is turned from where T_bc says, "
-          "as imu_turn, found by how camera and IMU turn, rad; None while that does not tell it "
+          "as imu_turn_in_use, found by how camera and IMU turn, rad; None while that does not "
+          "tell it "
           "within 0.1 degree")
       .def_prop_ro(
           "imu_left_out",

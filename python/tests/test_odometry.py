@@ -270,10 +270,10 @@ def test_the_state_of_an_imu_has_a_reason(walk):
     assert (pose.imu_state, pose.imu_reason, pose.imu_samples) == ("initialising", "few_keyframes", "integrated")
     assert pose.imu_estimate == "few_keyframes" and "keyframes in a row" in pose.imu_explanation
     assert 0 <= pose.imu_unused_s <= 0.1 + 1e-9
-    assert pose.imu_turn.shape == (3,) and not pose.imu_turn.any() and pose.imu_misalignment is None
+    assert pose.imu_turn_in_use.shape == (3,) and not pose.imu_turn_in_use.any() and pose.imu_misalignment is None
     none = walk.odometry().track(*walk.frame(0))
     assert (none.imu_state, none.imu_reason, none.imu_explanation, none.imu_unused_s) == ("", "", "", 0)
-    assert not none.imu_turn.any()
+    assert not none.imu_turn_in_use.any()
 
 
 def test_mistakes_are_named_and_change_nothing(walk):

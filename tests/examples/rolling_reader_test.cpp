@@ -20,7 +20,7 @@ namespace {
 
 namespace rolling = test::rolling;
 
-/// Two cameras that look down and up by 1 degree, with rows of 33 ms.
+/// Two cameras, the second canted by 2 degrees, with rows read in 33 ms.
 std::vector<rolling::mounted> canted_pair() {
   auto const lens = rolling::any::of(
       ft::radtan8<float>{290, 290, 239.5f, 170, {-0.28f, 0.07f, 2e-4f, -1e-4f, 0, 0, 0, 0}});

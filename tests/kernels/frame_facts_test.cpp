@@ -11,6 +11,7 @@
 
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/stereo_rig.hpp"
+#include "ft/math/so3.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/random.hpp"
@@ -223,6 +224,57 @@ TYPED_TEST(FrameFacts, OfAPairThatIsNotRectifiedTheRightCameraCounts) {
   EXPECT_EQ(f.matches, 100);
   EXPECT_EQ(f.with_disparity, 50);
   EXPECT_EQ(f.off_disparity, 25);
+}
+
+/// A correction moves the camera that it belongs to, and no other one.
+TYPED_TEST(FrameFacts, CountWhatTheLastAdjustmentShifted) {
+  TypeParam backend;
+  auto const rig = ft::rectified_rig::make({200.0f, 200.0f, 320.0f, 240.0f}, 0.1);
+  auto const seen = seen_points(200, true);
+  // Of the pose before the correction, as apply_window() has it: T_cw = T_before C.
+  ft::rigid<double> const T_cw{ft::mat3<double>::identity(), {0.4, -0.1, 0.2}};
+  ft::rigid<double> const before{ft::mat3<double>::identity(), {0.4, -0.1 - 0.015, 0.2}};
+  ft::rigid<double> const turned{
+      ft::detail::rotation_exp(ft::vec3<ft::strict_double>{0.0, 0.0, 0.5}).template cast<double>(),
+      {3, 1, -2}};
+  std::vector<ft::observation> all;
+  for (int b = 0; b < 3; ++b) {
+    // The last camera's world is turned, which changes nothing.
+    auto const to_world = (b == 2 ? T_cw * turned : T_cw).inverse();
+    for (ft::observation o : seen) {
+      o.point = (to_world * o.point.template cast<double>()).template cast<float>();
+      all.push_back(o);
+    }
+  }
+  std::vector<ft::camera_track> tracks(3, ft::camera_track::initial());
+  for (auto& t : tracks) { t.plan = ft::search_plan::follow; }
+  std::vector<ft::pose> const poses{T_cw.cast<float>(), T_cw.cast<float>(),
+                                    (T_cw * turned).template cast<float>()};
+  auto const C = before.inverse() * T_cw;
+  std::vector<ft::rigid<double>> const corrections{ft::rigid<double>::identity(), C,
+                                                   turned.inverse() * C * turned};
+  auto const items = test::to_exec(backend.exec, all);
+  auto const flags = test::to_exec(backend.exec, std::vector<unsigned char>(all.size(), 0));
+  auto const count = test::to_exec(backend.exec, std::vector<int>(3, 200));
+  auto const at = test::to_exec(backend.exec, poses);
+  auto const by = test::to_exec(backend.exec, corrections);
+  auto const of = test::to_exec(backend.exec, tracks);
+  auto const out = test::to_exec(backend.exec, std::vector<ft::frame_facts>(3));
+  ft::observations_view view;
+  view.items = items.data();
+  view.outlier = flags.data();
+  view.count = count.data();
+  view.capacity = 200;
+  ft::detail::weighed_frames<ft::rectified_rig> const in{
+      rig,       view,      at.data(),
+      at.data(), by.data(), ft::pyramid_geometry::make(width, height, 1, 1.2f)};
+  ft::weigh_frames(backend.exec, 3, in, of.data(), out.data());
+  auto const facts =
+      test::from_exec(backend.exec, static_cast<ft::frame_facts const*>(out.data()), 3);
+  EXPECT_EQ(facts[0].shifted, 0);
+  EXPECT_EQ(facts[1].shifted, 200) << "by 1.5 pixels";
+  EXPECT_EQ(facts[2].shifted, 200);
+  EXPECT_EQ(facts[1].resting, 200);
 }
 
 }  // namespace frame_facts_test

@@ -331,7 +331,7 @@ TEST(rolling_rigs, loops_are_closed) {
     last[s > 0 ? 0 : 1] = end.metric();
     keyframes[s > 0 ? 0 : 1] = kept.metric();
   }
-  expect_better(last[0], last[1], 0.02);
+  expect_better(last[0], last[1], 0.01);
   expect_better(keyframes[0], keyframes[1], 0.02);
 }
 
@@ -357,7 +357,7 @@ TEST(rolling_rigs, a_loaded_map_is_gone_on_with) {
     }
     error[s > 0 ? 0 : 1] = path.metric();
   }
-  expect_better(error[0], error[1], 0.02);
+  expect_better(error[0], error[1], 0.012);
 }
 
 }  // namespace rolling_rigs_test

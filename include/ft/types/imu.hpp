@@ -196,8 +196,8 @@ struct imu_tracking {
   double time_offset_s = 0;  ///< in use: imu_params::time_offset_s, or one that was found
   imu_clock_offset clock;    ///< found; unknown without imu_params::estimate_time_offset
   /// In use: by what samples are turned before they are used, from the IMU's frame as they come to
-  /// that which imu_params::T_bc says. Rotation vector, rad, up to half a turn; 0 until one was
-  /// found, or without imu_params::estimate_rotation.
+  /// that which imu_params::T_bc says. Rotation vector, rad, up to half a turn, near which its sign
+  /// may change; 0 until one was found, of one camera, or without imu_params::estimate_rotation.
   vec3<double> turn = {0, 0, 0};
   imu_misalignment misalignment;  ///< found; unknown without imu_params::estimate_rotation
 };

@@ -212,7 +212,7 @@ private:
   /// Writes where a keypoint is seen at the middle row's time, and its depth.
   /// @param own whether its depth is its own; otherwise that of `body`, a point in the body's frame
   ///   or 0
-  /// @return the point in the body's frame at the time of its row; 0 without a depth
+  /// @return the point in the body's frame at the time of its row; 0 without a depth of its own
   FT_HOST_DEVICE static vec3<real> move(frames const& in, int b, int number, bool own,
                                         vec3<real> const& body) {
     vec3<real> const nothing{real(0), real(0), real(0)};
@@ -260,7 +260,7 @@ private:
       moved.x(i) = g.level_column(x, at.octave);
       moved.y(i) = g.level_row(y, at.octave);
       if (near && own && !at.held) { write_depth(in, b, number, at.octave, {p.pixel.x, now, T}); }
-      return point;
+      return at.held ? nothing : point;  // a partner has a map point of its own
     });
   }
 

@@ -142,7 +142,7 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
       n.flowing += static_cast<int>(length_of(dx, dy) >= 16);
       reprojection<Rig, real> const there(rig, elsewhere, o);
       int const sx = whole(there.error[0]) - x, sy = whole(there.error[1]) - y;
-      n.shifted += static_cast<int>(length_of(sx, sy) >= 8);
+      n.shifted += static_cast<int>(sx * sx + sy * sy >= 64);
       reprojection<Rig, real> weighted = r;
       if (disparity_root > 0) { weighted.take_disparity(real(disparity_root)); }
       real chi2 = 0.0f;

@@ -35,8 +35,8 @@ struct scale_map_part {
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, map_scaling const* scalings,
-                                 odometry_map_view const& map,
-                                 odometry_state_view const& state) const {
+                                 odometry_map_view const& map, odometry_state_view const& state,
+                                 rigid<double>* correction) const {
     int const b = item / items(map);
     int const part = item % items(map);
     map_scaling const s = scalings[b];
@@ -54,6 +54,7 @@ struct scale_map_part {
     camera_track& t = state.tracks[b];
     scale_pose(state.T_cw[b], s);
     scale_pose(t.keyframe, s);
+    scale_motion(correction[b], s);
     t.velocity.motion.t = scaled(t.velocity.motion.t.cast<real>(), real(s.factor)).cast<double>();
   }
 
@@ -72,6 +73,13 @@ private:
     least = times(least);
     most = times(most);
   }
+  /// A motion of points of the world.
+  FT_HOST_DEVICE static void scale_motion(rigid<double>& T, map_scaling const& s) {
+    auto const C = T.cast<real>();
+    vec3<real> const about = s.about.cast<real>();
+    vec3<real> const away = C.R * about + C.t - about;
+    T.t = (about - C.R * about + scaled(away, real(s.factor))).cast<double>();
+  }
   /// The camera's centre moves as a point; t = -R centre.
   FT_HOST_DEVICE static void scale_pose(rigid<double>& T_cw, map_scaling const& s) {
     auto const T = T_cw.cast<real>();
@@ -85,12 +93,13 @@ private:
 /// Changes the unit of maps: of points with their limits of distance, of keyframes, and of the
 /// camera's last pose and motion. Rotations and normals stay. No adjustment of such a map may be in
 /// flight. Asynchronous on `exec`; allocates nothing; one launch.
-/// @param scalings [batch] executor memory
+/// @param scalings [batch] executor memory @param correction [batch] of apply_window(); in and out
 template <typename Exec>
 void scale_maps(Exec const& exec, map_scaling const* scalings, odometry_map_view const& map,
-                odometry_state_view const& state) {
+                odometry_state_view const& state, rigid<double>* correction) {
   int const items = state.batch * detail::scale_map_part::items(map);
-  for_each_item<per_block<256>>(exec, items, detail::scale_map_part{}, scalings, map, state);
+  for_each_item<per_block<256>>(exec, items, detail::scale_map_part{}, scalings, map, state,
+                                correction);
 }
 
 }  // namespace FT_ABI

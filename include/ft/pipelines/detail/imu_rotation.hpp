@@ -6,9 +6,9 @@
 /// between two images, and s how the images did. The least squares for c and the gyroscope's bias
 /// are linear. The tangent of half a turn is infinite: so g is also turned by half a turn about
 /// each axis before. Of a quaternion's four parts one is at least a half, so that one of the four
-/// angles that remain is at most 120 degrees; the one that suits the turns best counts. Turning
-/// about one axis alone does not tell the rotation about it; nor are swapped axes told, which are
-/// no rotation.
+/// angles that remain is at most 120 degrees; the one that suits the turns best counts, unless
+/// another rotation suits them about as well. Turning about one axis alone does not tell the
+/// rotation about it; nor are swapped axes told, which are no rotation.
 ///
 /// Turns that overlap may share their errors, as those of a map that drifts, or not, as those of
 /// single images. What remains of overlapping turns tells which: the covariance grows by the sum of
@@ -19,6 +19,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -59,8 +60,19 @@ public:
   imu_misalignment estimate() const {
     imu_misalignment out;
     if (!(count_ > real64(fewest))) { return out; }
-    real64 least = real64(most_rest) * turned_;
-    for (std::size_t h = 0; h < halves; ++h) { take_better(h, least, out); }
+    std::array<branch, halves> all;
+    std::size_t best = 0;
+    for (std::size_t h = 0; h < halves; ++h) {
+      all[h] = solve(h);
+      if (all[h].rest < all[best].rest) { best = h; }
+    }
+    if (!(all[best].rest < real64(most_rest) * turned_)) { return out; }
+    for (branch const& other : all) {
+      if (rivals(other, all[best])) { return out; }
+    }
+    out.sigma = all[best].sigma.value;
+    out.turn = all[best].turn.template cast<double>();
+    out.known = out.sigma < most_sigma;
     return out;
   }
 
@@ -70,6 +82,7 @@ private:
   static constexpr double fewest = 30;            ///< turns: fewer tell nothing
   static constexpr double most_sigma = 1.745e-3;  ///< rad: 0.1 degree
   static constexpr double most_rest = 0.01;       ///< of squared turns: more, and it is no rotation
+  static constexpr double clear_rest = 2;         ///< of two rotations, to tell the better one
 
   /// off = J (c, bias)
   struct equations {
@@ -138,14 +151,28 @@ private:
     }
     return e;
   }
-  /// The solution after half a turn h, if less remains with it. @param[in,out] least that remains
-  void take_better(std::size_t h, real64& least, imu_misalignment& out) const {
+  /// A solution, and what remains with it.
+  struct branch {
+    real64 rest = std::numeric_limits<double>::infinity();  ///< there is none
+    real64 sigma = 0.0;                                     ///< rad
+    strict_vec3d turn;                                      ///< rotation vector
+  };
+  /// Whether it suits the turns about as well, and is another rotation: those about one axis alone
+  /// suit several, and noise would choose.
+  static bool rivals(branch const& other, branch const& best) {
+    if (!(other.rest < real64(clear_rest) * best.rest)) { return false; }
+    strict_mat3d const R = rotation_exp(other.turn).transposed() * rotation_exp(best.turn);
+    return real64(3.0) - (R.m[0] + R.m[4] + R.m[8]) > real64(1.0);  // by 60 degrees and more
+  }
+  /// After half a turn h.
+  branch solve(std::size_t h) const {
+    branch out;
     real64 upper[21];
     for (int i = 0, n = 0; i < 6; ++i) {
       for (int j = i; j < 6; ++j) { upper[n++] = each_[h].matrix(i, j); }
     }
     double inverse[36];
-    if (!invert_6(upper, inverse)) { return; }
+    if (!invert_6(upper, inverse)) { return out; }
     real64 x[6];
     for (int i = 0; i < 6; ++i) {
       x[i] = 0.0;
@@ -153,15 +180,13 @@ private:
         x[i] = x[i] + real64(0.5 * inverse[6 * i + j]) * each_[h].right(j);
       }
     }
-    real64 const rest = max_of(each_[h].product(x), real64(1e-12));
-    if (!(rest < least)) { return; }
-    least = rest;
+    out.rest = max_of(each_[h].product(x), real64(1e-12));
     real64 const degrees = real64(3.0) * count_ - real64(6.0);
     real64 const shared = shared_[h].product(x);
-    real64 const variance = max_of(rest + shared + shared, rest) / degrees;
-    out.sigma = scalar::sqrt(variance * real64(inverse[0] + inverse[7] + inverse[14])).value;
-    out.turn = rotation_vector_of({x[0], x[1], x[2]}, h).template cast<double>();
-    out.known = out.sigma < most_sigma;
+    real64 const variance = max_of(out.rest + shared + shared, out.rest) / degrees;
+    out.sigma = scalar::sqrt(variance * real64(inverse[0] + inverse[7] + inverse[14]));
+    out.turn = rotation_vector_of({x[0], x[1], x[2]}, h);
+    return out;
   }
   /// Of half a turn h and then a turn by c, as a product of quaternions: no angle is too large.
   static strict_vec3d rotation_vector_of(strict_vec3d const& c, std::size_t h) {

@@ -155,7 +155,9 @@ public:
   void after_adjusted_map(Exec const& exec, stages_type const& s) const override {
     auto const& own = s.own;
     apply_inertial_estimates(exec, own.state.apply, own.map.keyframes, windows_, view_);
-    if (view_.seeks_scale) { scale_maps(exec, view_.scaling, own.map, own.state); }
+    if (view_.seeks_scale) {
+      scale_maps(exec, view_.scaling, own.map, own.state, own.sources.correction);
+    }
   }
   void after_prediction(Exec const& exec, stages_type const& s) const override {
     predict_inertial_frames(exec, {s.own.inputs, mount_, s.own.map.keyframes}, s.own.state,
@@ -249,6 +251,8 @@ private:
   /// Smaller changes of the offset are not made: standard deviations, and seconds.
   static constexpr double clear_sigmas = 4, clear_change_s = 1.5e-3;
   static constexpr double clear_turn = 0.3 / 57.295779513082321;  ///< rad
+  /// Larger ones are mistakes of the calibration, or of what was found: not made by guess.
+  static constexpr double large_turn = 0.5;  ///< rad
   static std::int64_t nanoseconds(double s) { return std::llround(s * 1e9); }
 
   /// What the images alone tell of the IMU's attitude.
@@ -277,8 +281,9 @@ private:
     imu_misalignment const found = queue(b).misalignment();
     turn_in_use& used = turn_[static_cast<std::size_t>(b)];
     strict_mat3d const R = rotation_exp(found.turn.template cast<real64>());
-    if (!(found.sigma > 0) || !(angle_between(used.R.template cast<real64>(), R) >
-                                max_of(clear_sigmas * found.sigma, clear_turn))) {
+    double const change = chord_between(used.R.template cast<real64>(), R);
+    if (!(found.sigma > 0) || !(change > max_of(clear_sigmas * found.sigma, clear_turn)) ||
+        (change > large_turn && !found.known)) {
       return false;
     }
     used = {R.template cast<double>(), R.template cast<float>(), found.turn, true};
@@ -286,7 +291,7 @@ private:
   }
   /// Of two rotations, rad, where it is small; of larger ones the chord, up to 2 at half a turn,
   /// whose rotation vector rounding may turn round or lose.
-  static double angle_between(strict_mat3d const& a, strict_mat3d const& b) {
+  static double chord_between(strict_mat3d const& a, strict_mat3d const& b) {
     strict_mat3d const R = a.transposed() * b;
     return std::sqrt(std::fmax(0, 3 - (R.m[0] + R.m[4] + R.m[8]).value));
   }

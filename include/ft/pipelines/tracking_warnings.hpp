@@ -68,6 +68,11 @@ inline bool has_two_motions(tracking const& t, warning_limits const& limits) {
          3 * e.moved > e.textured && e.textured >= 16;
 }
 
+/// Whether an adjustment took back an error. The unit of one camera drifts, which moves it, too.
+inline bool was_shifted(tracking const& t) {
+  return t.depths != depth_origin::motion && 2 * t.evidence.facts.shifted > t.inliers;
+}
+
 inline bool has_odd_stereo(tracking const& t, warning_limits const& limits) {
   frame_facts const& f = t.evidence.facts;
   if (f.with_disparity >= limits.moving_points && 4 * f.off_disparity > f.with_disparity) {
@@ -140,7 +145,7 @@ public:
       frame_facts const& f = e.facts;
       bool const in_doubt =
           t.inliers > 0 && (errors_.judge(f.common, limits.common_errors, time_ns, limits) ||
-                            f.evidence < limits.least_evidence || 2 * f.shifted > t.inliers);
+                            f.evidence < limits.least_evidence || was_shifted(t));
       bool const errs_in_depth =
           !unlit && t.depths == depth_origin::stereo &&
           disparities_.judge(f.common_disparity, limits.common_disparities, time_ns, limits);

@@ -164,6 +164,19 @@ private:
     strict_mat3d const R = rotation_exp(other.turn).transposed() * rotation_exp(best.turn);
     return real64(3.0) - (R.m[0] + R.m[4] + R.m[8]) > real64(1.0);  // by 60 degrees and more
   }
+  /// The trace of a covariance of c, as one of the rotation: c = 2 tan(angle / 2) axis grows faster
+  /// than the angle.
+  static real64 angular(double const (&of_c)[36], strict_vec3d const& c) {
+    real64 const all = of_c[0] + of_c[7] + of_c[14];
+    real64 const square = dot(c, c), grows = real64(1.0) + real64(0.25) * square;
+    real64 const cc[3] = {c.x, c.y, c.z};
+    real64 along = 0.0;
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) { along = along + cc[i] * real64(of_c[6 * i + j]) * cc[j]; }
+    }
+    along = square > real64(0.0) ? along / square : all;
+    return (all - along) / grows + along / (grows * grows);
+  }
   /// After half a turn h.
   branch solve(std::size_t h) const {
     branch out;
@@ -184,7 +197,7 @@ private:
     real64 const degrees = real64(3.0) * count_ - real64(6.0);
     real64 const shared = shared_[h].product(x);
     real64 const variance = max_of(out.rest + shared + shared, out.rest) / degrees;
-    out.sigma = scalar::sqrt(variance * real64(inverse[0] + inverse[7] + inverse[14]));
+    out.sigma = scalar::sqrt(variance * angular(inverse, {x[0], x[1], x[2]}));
     out.turn = rotation_vector_of({x[0], x[1], x[2]}, h);
     return out;
   }

@@ -48,30 +48,28 @@ TEST(LoopBounds, ALoopTellsMoreThanTheOdometryOnALongWayOnly) {
   loop_path path = to_and_fro(n);
   ft::loop_params const params;
   double const sigma = 0.05;  // 0.245 m with eight times its covariance, in all directions
-  EXPECT_FALSE(path.tells(loop_between(n - 1 - 48, n - 1, sigma), params, 0)) << "4.8 m, 0.24 m";
-  EXPECT_TRUE(path.tells(loop_between(n - 1 - 50, n - 1, sigma), params, 0)) << "5 m, 0.25 m";
-  EXPECT_TRUE(path.tells(loop_between(n - 1 - 48, n - 1, sigma), params, 0.02))
-      << "a baseline more";
-  EXPECT_FALSE(path.tells(loop_between(n - 1 - 50, n - 1, 2 * sigma), params, 0));
-  EXPECT_TRUE(path.tells(loop_between(n - 1 - 10, n - 1, 0.01), params, 0));
+  EXPECT_FALSE(path.tells(loop_between(n - 1 - 48, n - 1, sigma), params)) << "4.8 m, 0.24 m";
+  EXPECT_TRUE(path.tells(loop_between(n - 1 - 50, n - 1, sigma), params)) << "5 m, 0.25 m";
+  EXPECT_FALSE(path.tells(loop_between(n - 1 - 50, n - 1, 2 * sigma), params));
+  EXPECT_TRUE(path.tells(loop_between(n - 1 - 10, n - 1, 0.01), params));
   ft::loop_params drifts = params;
   drifts.max_drift = 0.06f;
-  EXPECT_TRUE(path.tells(loop_between(n - 1 - 48, n - 1, sigma), drifts, 0));
+  EXPECT_TRUE(path.tells(loop_between(n - 1 - 48, n - 1, sigma), drifts));
   path_loop unknown = loop_between(0, n - 1, sigma);
   unknown.information[0] = std::nan("");
-  EXPECT_FALSE(path.tells(unknown, params, 0));
+  EXPECT_FALSE(path.tells(unknown, params));
 }
 
 TEST(LoopBounds, OfAnotherMapAnyLoopTellsMore) {
   constexpr int n = 20;
   loop_path path = to_and_fro(n);
   path_loop const l = loop_between(5, n - 1, 1);
-  EXPECT_FALSE(path.tells(l, {}, 0));
+  EXPECT_FALSE(path.tells(l, {}));
   path.keyframes[at(n - 1)].map = 2;
-  EXPECT_TRUE(path.tells(l, {}, 0));
+  EXPECT_TRUE(path.tells(l, {}));
   path.keyframes[at(n - 1)].map = 1;
   path.keyframes[5].loaded = true;
-  EXPECT_TRUE(path.tells(l, {}, 0));
+  EXPECT_TRUE(path.tells(l, {}));
 }
 
 TEST(LoopBounds, AScaleThatDriftsIsCorrectedByWhatTellsLess) {
@@ -79,9 +77,9 @@ TEST(LoopBounds, AScaleThatDriftsIsCorrectedByWhatTellsLess) {
   loop_path path = to_and_fro(n);
   path_loop const l = loop_between(9, n - 1, 0.1);  // 1 m of way, 0.49 m
   path.scaled = true;
-  EXPECT_TRUE(path.tells(l, {}, 0));
+  EXPECT_TRUE(path.tells(l, {}));
   path.keyframes[at(n - 1)].T_world_camera.scale = 2;  // 1.1 m of way, 0.98 m
-  EXPECT_FALSE(path.tells(l, {}, 0));
+  EXPECT_FALSE(path.tells(l, {}));
 }
 
 TEST(LoopBounds, ViewsFromElsewhereAreNotAlike) {

@@ -152,9 +152,9 @@ struct loop_path {
            angle(off.R) <= static_cast<double>(params.max_turn) + 0.01 * way;
   }
   /// Whether a loop tells where a keyframe of the same map is better than the odometry does: so
-  /// much as fits() lets it correct. Views from far apart, and few matches, do not on a short way.
+  /// much as that may have drifted. Views from far apart, and few matches, do not on a short way.
   /// Of another map, or the one of a file, the odometry knows nothing.
-  bool tells(path_loop const& loop, loop_params const& params, double baseline) const {
+  bool tells(path_loop const& loop, loop_params const& params) const {
     path_keyframe const& from = at(loop.from);
     path_keyframe const& to = at(loop.to);
     if (from.map != to.map || from.loaded != to.loaded) { return true; }
@@ -164,7 +164,7 @@ struct loop_path {
                          (scaled ? static_cast<double>(params.max_scale_drift) : 0.0);
     double const variance = covariance[0] + covariance[7] + covariance[14];
     return to.T_world_camera.scale * std::sqrt(optimism * variance) <=
-           drift * way(loop.from, loop.to) + baseline;
+           drift * way(loop.from, loop.to);
   }
   /// Whether a loop is between views that differ by no more than `most_turned`, rad, of what they
   /// see: matches of others err alike, by more than the loop's information says.

@@ -294,7 +294,7 @@ private:
       edge_information(found.information, 0.5, loop.information);  // the points are as uncertain
       if (path.scaled) { set_scale(found, loop); }
       bool const joins = path.at(loop.from).part != path.at(loop.to).part;
-      if (joins || (path.fits(loop, params, baseline()) && path.tells(loop, params, baseline()) &&
+      if (joins || (path.fits(loop, params, baseline()) && path.tells(loop, params) &&
                     path.is_alike(loop))) {
         loops.push_back(loop);
       }

@@ -414,8 +414,8 @@ def energy():
     return lines
 
 
-def scenario_rows(file="scenarios_h200.json"):
-    """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted."""
+def scenario_rows(file="scenarios_h200.json", missing_alone=False):
+    """Of tools/evaluation/scenarios.py: medians over the seeds, sums of what is counted; all, or those that miss a figure."""
     try:
         result = load(file)
     except FileNotFoundError:
@@ -431,12 +431,14 @@ def scenario_rows(file="scenarios_h200.json"):
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---|",
     ]
     for name, rows in by_name.items():
+        if missing_alone and not any(r["misses"] for r in rows):
+            continue
         lengths = [median_mm(r.get(k) for r in rows) for k in ("ate_m", "ate_without_imu_m", "max_error_m")]
         totals = {k: sum(r.get(k) or 0 for r in rows) for k in ("lost", "silent", "frames")}
         maps = max(r.get("maps") or 0 for r in rows)
         missed = sorted({m for r in rows for m in r["misses"]})
         said = ", ".join(f"{m} ({sum(m in r['misses'] for r in rows)})" for m in missed)
-        told = sum(r.get("warned_right") or 0 for r in rows) if any("warned_right" in r for r in rows) else ""  # older rows have none
+        told = sum(r["warned_right"] for r in rows)
         cells = [name, len(rows), *lengths, totals["lost"], maps, totals["silent"], told, totals["frames"], said]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return lines
@@ -545,7 +547,7 @@ def median_mm(lengths):
 TABLES = {
     "docs/scenarios.md": {
         "scenarios": scenario_rows,
-        "new seeds": lambda: scenario_rows("scenarios_new_seeds_host.json"),
+        "new seeds": lambda: scenario_rows("scenarios_new_seeds_h200.json", missing_alone=True),
         "wanted": wanted,
         "beside cuVSLAM": beside_cuvslam,
     },
@@ -618,9 +620,9 @@ def self_test():
     assert "| other | host | 100 | 120 | 2.50 |" in ablation() and not ablation()[-2].startswith("other")
     one = dict(scenario="x", seed=1, frames=9, ate_m=0.01, ate_without_imu_m=None, max_error_m=0.5, lost=1, maps=2, silent=3, misses=["maps"])
     results["rows"] = [one, dict(one, seed=2, ate_m=0.03, misses=[]), dict(one, seed=3, ate_m=None)]
-    assert scenario_rows()[-1] == "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 |  | 27 | maps (2) |", scenario_rows()[-1]
-    results["rows"] = [dict(r, warned_right=4) for r in results["rows"]]
-    assert scenario_rows()[-1] == "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 | 12 | 27 | maps (2) |", scenario_rows()[-1]
+    results["rows"] = [dict(r, warned_right=4) for r in results["rows"]] + [dict(one, scenario="y", warned_right=0, misses=[])]
+    x = "| x | 3 | 20.0 |  | 500.0 | 3 | 2 | 9 | 12 | 27 | maps (2) |"
+    assert scenario_rows()[-2] == x and scenario_rows(missing_alone=True)[-1] == x, scenario_rows()[-2]
     assert range_of([1.2, 3.7]) == "1 to 4" and range_of([1.1, 1.2]) == "1"
     print("update_results.py: self-test passed")
 

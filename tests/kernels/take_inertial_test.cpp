@@ -24,6 +24,7 @@ struct arrays {
   ft::pose* T_cw = nullptr;
   ft::observations_view observations;
   float* information = nullptr;
+  ft::image_changes* changes = nullptr;
   ft::odometry_state_view state;
   ft::inertial_view imu;
 };
@@ -49,11 +50,13 @@ struct room {
           v.T_cw = c.take<ft::pose>(1);
           carve(c, v.observations, keypoints, 1);
           v.information = c.take<float>(ft::information_terms);
+          v.changes = c.take<ft::image_changes>(1);
           carve(c, v.state, 1);
           carve(c, v.imu, {4, 1, keypoints}, 1);
         }) {
     arrays const& v = data.host;
     *v.keypoints.count = keypoints;
+    *v.changes = {};
     v.state.tracks[0] = ft::camera_track::initial();
     v.state.tracks[0].plan = ft::search_plan::follow;
     v.imu.tracks[0] = ft::inertial_track::initial();
@@ -90,8 +93,9 @@ struct room {
     f.keypoint_step = 1;
     f.holder = there.holder;
     float const* const information = tells_errors ? there.information : nullptr;
-    ft::take_inertial_poses(exec, {there.observations, there.state, f, information, there.T_cw},
-                            there.imu);
+    ft::take_inertial_poses(
+        exec, {there.observations, there.state, f, information, there.T_cw, there.changes},
+        there.imu);
     data.pull(exec);
     auto const held = std::count_if(v.holder, v.holder + keypoints, [](int h) { return h >= 0; });
     return {*v.observations.inliers, static_cast<int>(held), v.T_cw->t.x, v.imu.tracks[0]};
@@ -175,6 +179,12 @@ TYPED_TEST(TakeInertialPoses, APoseFartherThanTheErrorsOfManyMatchesExplainIsNot
   EXPECT_EQ(far.x, 1);
   EXPECT_EQ(far.inliers, many) << "the frame is tracked";
   EXPECT_EQ(far.track.status, ft::integration_status::contradicted);
+  r.data.host.changes->streaked = 1;
+  auto const blurred = at(6);
+  EXPECT_EQ(blurred.x, 2) << "all keypoints are displaced alike, which their errors do not say";
+  EXPECT_EQ(blurred.track.optimized, 1);
+  EXPECT_EQ(r.frame(7 * many / 8 - 1, many, many).x, 1) << "many that disagree still outvote it";
+  r.data.host.changes->streaked = 0;
   EXPECT_EQ(at(std::numeric_limits<float>::quiet_NaN()).x, 1);
   std::fill_n(r.data.host.information, ft::information_terms, 1e6f);
   EXPECT_EQ(r.frame(many - 1, many - 1, many - 1).x, 2) << "few matches may be wrong ones";

@@ -13,6 +13,7 @@
 #include "ft/core/group.hpp"
 #include "ft/kernels/inertial/predict.hpp"
 #include "ft/kernels/odometry/begin_inertial.hpp"
+#include "ft/kernels/odometry/image_changes.hpp"
 #include "ft/kernels/odometry/inertial_track.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
@@ -30,6 +31,8 @@ struct inertial_frames {
   frame_view frame;
   float const* information;  ///< [batch][information_terms] of the poses of the images, or null
   pose* T_cw;                ///< [batch] in: by the images alone
+  image_changes const* changes =
+      nullptr;  ///< [images] of the batch, by frame_view::image(), or null
 };
 
 namespace detail {
@@ -89,6 +92,16 @@ FT_HOST_DEVICE inline float deviations2(pose const& of, pose const& other,
   return static_cast<float>(sum.value);
 }
 
+/// Whether more than half of a camera's images are sharp in one direction only. Their keypoints lie
+/// at ends of streaks, all displaced alike. The covariance of a pose does not know that.
+FT_HOST_DEVICE inline bool is_blurred(inertial_frames const& in, int b) {
+  int streaked = 0;
+  for (int c = 0; in.changes != nullptr && c < in.frame.cameras; ++c) {
+    streaked += in.changes[in.frame.image(b, c)].streaked;
+  }
+  return 2 * streaked > in.frame.cameras;
+}
+
 FT_HOST_DEVICE inline bool is_near(pose const& seen, stored_inertial_state const& other,
                                    float const* information, float most2) {
   return deviations2(seen, pose_of(other).template cast<float>(), information) <= most2;
@@ -127,7 +140,7 @@ struct take_inertial_pose {
         in.information == nullptr
             ? nullptr
             : in.information + static_cast<std::ptrdiff_t>(b) * information_terms;
-    bool const near = !optimized || !many || information == nullptr ||
+    bool const near = !optimized || !many || information == nullptr || is_blurred(in, b) ||
                       is_near(in.T_cw[b], result.stored, information, most_deviations2);
     bool const turned = !many || t.sees == 0 || !usable(v.from_last(b).status) ||
                         turns_agree(v.from_last(b), t.last.bias, v.mount, t.seen,
@@ -179,7 +192,8 @@ private:
 /// Replaces poses and inliers by those of optimize_inertial_poses(), where that was not refused, at
 /// least half of the visual inliers agree, or seven in eight of 80 or more, and the camera is not
 /// searched for. With 80 or more the gyroscope must have turned as the images, and the pose must be
-/// as near to theirs as their errors explain. Keypoints that are outliers release their points.
+/// as near to theirs as their errors explain, unless the images are blurred by a motion, which
+/// displaces all keypoints alike. Keypoints that are outliers release their points.
 /// Where fewer agree, and there are fewer than 80, the frame has no inliers, so that it is not
 /// tracked. The third such frame, if none in between agreed, and any with more keep their visual
 /// pose, and the IMU says nothing until an estimate gives velocities anew; with more, the integral

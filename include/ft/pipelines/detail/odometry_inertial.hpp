@@ -173,7 +173,9 @@ public:
     how.marginalizes = false;
     optimize_inertial_poses(exec, s.rig, mount_, problems(seen), how);
     take_inertial_poses(
-        exec, {seen, s.own.state, s.memory.frame, s.own.information, s.memory.poses}, view_);
+        exec,
+        {seen, s.own.state, s.memory.frame, s.own.information, s.memory.poses, s.own.changes.of},
+        view_);
   }
   /// Marginalises: needed by the next frame alone.
   void beside_decision(Exec const& exec, stages_type const& s) const override {

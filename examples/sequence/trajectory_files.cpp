@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <fstream>
+#include <locale>
 #include <string>
 #include <vector>
 
@@ -12,6 +13,18 @@
 #include "examples/sequence/evaluation.hpp"
 
 namespace seq {
+namespace {
+
+/// A file for numbers with nine decimals, and a point in any locale. @throws seq::error
+std::ofstream opened(std::string const& path) {
+  std::ofstream out(path, std::ios::binary);
+  if (!out) { throw error(path + ": cannot be written"); }
+  out.imbue(std::locale::classic());
+  out.precision(9);
+  return out;
+}
+
+}  // namespace
 
 trajectory read_tum(std::string const& path, std::vector<std::string>* warnings) {
   std::vector<std::int64_t> times;
@@ -41,9 +54,8 @@ trajectory read_tum(std::string const& path, std::vector<std::string>* warnings)
 }
 
 void write_tum(std::string const& path, trajectory const& poses, std::string const& of) {
-  std::ofstream out(path, std::ios::binary);
-  if (!out) { throw error(path + ": cannot be written"); }
-  out << "# time tx ty tz qx qy qz qw (seconds, metres; " << of << " to world)\n";
+  std::ofstream out = opened(path);
+  out << std::fixed << "# time tx ty tz qx qy qz qw (seconds, metres; " << of << " to world)\n";
   for (stamped_pose const& pose : poses) {
     Eigen::Vector3d const t = pose.T_world_camera.translation();
     Eigen::Quaterniond q(pose.T_world_camera.linear());
@@ -56,34 +68,28 @@ void write_tum(std::string const& path, trajectory const& poses, std::string con
     char stamp[48];
     std::snprintf(stamp, sizeof stamp, "%s%" PRId64 ".%09" PRId64, negative ? "-" : "",
                   negative ? -whole : whole, negative ? -part : part);
-    char line[512];
-    int const length = std::snprintf(line, sizeof line, "%s %.9f %.9f %.9f %.9f %.9f %.9f %.9f\n",
-                                     stamp, t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w());
-    if (length < 0 || length >= static_cast<int>(sizeof line) || !t.allFinite() ||
-        !q.coeffs().allFinite()) {
-      throw error(path + ": pose at " + stamp + " s is not finite or too large to write");
+    double const numbers[] = {t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w()};
+    if (!t.allFinite() || !q.coeffs().allFinite()) {
+      throw error(path + ": pose at " + stamp + " s is not finite");
     }
-    out << line;
+    out << stamp;
+    for (double const number : numbers) { out << ' ' << number; }
+    out << '\n';
   }
   out.flush();
   if (!out) { throw error(path + ": write failed (disk full?)"); }
 }
 
 void write_kitti_poses(std::string const& path, trajectory const& poses) {
-  std::ofstream out(path, std::ios::binary);
-  if (!out) { throw error(path + ": cannot be written"); }
+  std::ofstream out = opened(path);
+  out << std::scientific;
   for (stamped_pose const& pose : poses) {
-    std::string line;
     for (int i = 0; i < 12; ++i) {
       double const value = pose.T_world_camera.matrix()(i / 4, i % 4);
-      char number[64];
-      int const length = std::snprintf(number, sizeof number, i == 0 ? "%.9e" : " %.9e", value);
-      if (length < 0 || length >= static_cast<int>(sizeof number) || !std::isfinite(value)) {
-        throw error(path + ": a pose is not finite");
-      }
-      line += number;
+      if (!std::isfinite(value)) { throw error(path + ": a pose is not finite"); }
+      out << (i == 0 ? "" : " ") << value;
     }
-    out << line << '\n';
+    out << '\n';
   }
   out.flush();
   if (!out) { throw error(path + ": write failed (disk full?)"); }

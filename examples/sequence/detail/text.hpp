@@ -2,7 +2,10 @@
 /// @file Lines and numbers of text files, with errors that name file and line. Not API.
 #pragma once
 
+#include <algorithm>
+#include <clocale>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -38,6 +41,16 @@ inline std::string to_text(double value) {
   return buffer;
 }
 
+/// `word` as strtod and strtold read it in the program's locale, which may have a decimal comma. A
+/// comma in the word ends the number there in any locale.
+inline std::string with_decimal_point(std::string word) {
+  std::string const point = std::localeconv()->decimal_point;
+  if (point == ".") { return word; }
+  std::replace(word.begin(), word.end(), ',', ';');
+  std::size_t const at = word.find('.');
+  return at == std::string::npos ? word : word.replace(at, 1, point);
+}
+
 inline bool is_file(std::string const& path) {
   std::error_code ignored;
   return std::filesystem::is_regular_file(path, ignored);
@@ -71,6 +84,12 @@ inline bool is_blank_or_comment(std::string const& text) {
   return first == std::string::npos || text[first] == '#';
 }
 
+/// Headings of tables do not.
+inline bool begins_with_number(std::string const& text) {
+  std::size_t const first = text.find_first_not_of(" \t\"+-.");
+  return first != std::string::npos && is_digit(text[first]);
+}
+
 /// The parts of `text` between any of `separators`; with `merge`, consecutive separators count as
 /// one.
 inline std::vector<std::string> split(std::string const& text, char const* separators, bool merge) {
@@ -94,16 +113,22 @@ inline std::string trim(std::string const& text) {
 
 /// Reads the whole of `text` as a number. @return false if it is not one (NaN and infinity are)
 inline bool to_number(std::string const& text, double& value) {
-  std::string const word = trim(text);
+  std::string const word = with_decimal_point(trim(text));
   char* end = nullptr;
   value = std::strtod(word.c_str(), &end);
   return !word.empty() && end == word.c_str() + word.size();
 }
 
-/// @throws seq::error naming file and line when `text` is not a finite number
-inline double finite_number(std::string const& text, std::string const& path, int line) {
+/// @throws seq::error naming file and line when `text` is not a number (NaN and infinity are)
+inline double number(std::string const& text, std::string const& path, int line) {
   double value = 0;
   if (!to_number(text, value)) { fail_at(path, line, "'" + trim(text) + "' is not a number"); }
+  return value;
+}
+
+/// @throws seq::error naming file and line when `text` is not a finite number
+inline double finite_number(std::string const& text, std::string const& path, int line) {
+  double const value = number(text, path, line);
   if (!std::isfinite(value)) { fail_at(path, line, "'" + trim(text) + "' is not finite"); }
   return value;
 }
@@ -127,7 +152,7 @@ inline std::int64_t nanoseconds(std::string const& text, std::string const& path
 /// Seconds, as nanoseconds. @throws seq::error naming file and line: not a number, or beyond
 /// +-4.6e9 s, so that no difference of two overflows
 inline std::int64_t seconds_to_ns(std::string const& text, std::string const& path, int line) {
-  std::string const word = trim(text);
+  std::string const word = with_decimal_point(trim(text));
   char* end = nullptr;
   // long double: seconds since 1970 with nine decimals need more digits than a double has.
   long double const seconds = std::strtold(word.c_str(), &end);

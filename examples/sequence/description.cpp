@@ -81,6 +81,9 @@ std::string cameras_line(sequence const& s) {
   bool const changed = !s.fisheye() && (pair ? !raw.rectified() : raw.left.model != lens::pinhole);
   if (changed) { line += pair ? ", rectified on load" : ", undistorted on load"; }
   if (pair) { line += ", baseline " + to_text(s.rig().baseline()) + " m"; }
+  if (raw.left.readout_s > 0) {
+    line += ", rolling shutter of " + to_text(1e3 * raw.left.readout_s) + " ms";
+  }
   if (s.kind() == camera_kind::rgbd) {
     line += ", depth " + to_text(s.depth_unit()) + " m a unit, " + s.depth_unit_from();
   }

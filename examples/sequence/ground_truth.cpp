@@ -7,6 +7,7 @@
 
 #include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/table.hpp"
 #include "examples/sequence/detail/text.hpp"
 #include "examples/sequence/evaluation.hpp"
 
@@ -20,16 +21,12 @@ constexpr std::int64_t finest_step_ns = 50'000;
 trajectory read_euroc_truth(std::string const& path, std::vector<std::string>& warnings) {
   trajectory poses;
   stamp_column stamps(path, finest_step_ns);
-  for (text_line const& line : read_lines(path)) {
-    if (is_blank_or_comment(line.text)) { continue; }
-    std::vector<std::string> const fields = split(line.text, ",", false);
-    if (fields.size() < 8) {
-      fail_at(path, line.number, std::to_string(fields.size()) + " fields, must have at least 8");
-    }
+  for (table_row const& row :
+       read_table(path, 8, "time stamp, position, quaternion w x y z", warnings).rows) {
     stamped_pose pose;
     pose.T_world_camera =
-        pose_of_fields(fields.data() + 1, quaternion_order::w_first, path, line.number);
-    stamps.add(fields[0], line.number);
+        pose_of_fields(row.fields.data() + 1, quaternion_order::w_first, path, row.line);
+    stamps.add(row.fields[0], row.line);
     poses.push_back(pose);
   }
   std::vector<std::int64_t> const times = stamps.times_ns(warnings);

@@ -1,10 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
+#include <cctype>
+#include <cmath>
+#include <cstddef>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/table.hpp"
 #include "examples/sequence/detail/text.hpp"
 
 namespace seq {
@@ -21,31 +27,77 @@ double median_length(std::vector<imu_sample> const& samples, Eigen::Vector3d imu
   return detail::median(std::move(lengths));
 }
 
+/// 0 to 2 for x, y, z of a gyroscope, 3 to 5 of an accelerometer, -1 for another column. Names are
+/// such as w_RS_S_x [rad s^-1], omega_x, gx, GyroX, angular_velocity.x; a_RS_S_x, alpha_x, ax,
+/// accX.
+int quantity_of(std::string name) {
+  name = detail::trim(name.substr(0, name.find_first_of("[(")));
+  std::transform(name.begin(), name.end(), name.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  if (name.size() < 2 || name.back() < 'x' || name.back() > 'z') { return -1; }
+  int const axis = name.back() - 'x';
+  name.pop_back();
+  auto const has = [&](char const* part) { return name.find(part) != std::string::npos; };
+  bool const letter = name.size() == 1 || name[1] == '_' || name[1] == '.' || name[1] == ' ';
+  if (has("gyr") || has("omega") || has("angular_vel")) { return axis; }
+  if (has("acc") || has("alpha")) { return 3 + axis; }
+  if (letter && (name[0] == 'w' || name[0] == 'g')) { return axis; }
+  return letter && name[0] == 'a' ? 3 + axis : -1;
+}
+
+/// The columns of angular rates and accelerations: those that the heading names, or EuRoC's.
+std::array<std::size_t, 6> columns_of(detail::table const& table, std::string const& path,
+                                      std::vector<std::string>& warnings) {
+  std::array<std::size_t, 6> const usual = {1, 2, 3, 4, 5, 6};
+  std::array<std::size_t, 6> named{};  // the time stamp is in column 0
+  for (std::size_t c = 1; c < table.names.size(); ++c) {
+    int const quantity = quantity_of(table.names[c]);
+    if (quantity < 0) { continue; }
+    std::size_t& column = named[static_cast<std::size_t>(quantity)];
+    if (column != 0) { return usual; }  // of two sensors
+    column = c;
+  }
+  bool const all = std::find(named.begin(), named.end(), std::size_t{0}) == named.end();
+  if (!all || named == usual) { return usual; }
+  warnings.push_back(
+      path + ": columns are taken by the names of the heading: " + table.names[named[0]] +
+      " is the first angular rate, " + table.names[named[3]] + " the first acceleration");
+  return named;
+}
+
 }  // namespace
 
 std::vector<imu_sample> read_imu_samples(std::string const& path,
                                          std::vector<std::string>* warnings) {
-  detail::stamp_column stamps(path, finest_sample_step_ns);
-  std::vector<imu_sample> read;
-  for (detail::text_line const& line : detail::read_lines(path)) {
-    if (detail::is_blank_or_comment(line.text)) { continue; }
-    std::vector<std::string> const fields = detail::split(line.text, ",", false);
-    if (fields.size() < 7) {
-      detail::fail_at(path, line.number,
-                      std::to_string(fields.size()) + " fields, must have at least 7");
-    }
-    imu_sample s;
-    stamps.add(fields[0], line.number);
-    for (int i = 0; i < 3; ++i) {
-      auto const k = static_cast<std::size_t>(i);
-      s.gyro[i] = detail::finite_number(fields[1 + k], path, line.number);
-      s.accel[i] = detail::finite_number(fields[4 + k], path, line.number);
-    }
-    read.push_back(s);
-  }
-  if (read.empty()) { throw error(path + ": no samples"); }
   std::vector<std::string> ignored;
   std::vector<std::string>& said = warnings != nullptr ? *warnings : ignored;
+  detail::table const table =
+      detail::read_table(path, 7, "time stamp, angular rates, accelerations", said);
+  std::array<std::size_t, 6> const columns = columns_of(table, path, said);
+  detail::stamp_column stamps(path, finest_sample_step_ns);
+  std::vector<imu_sample> read;
+  int first_broken = 0, broken = 0;
+  for (detail::table_row const& row : table.rows) {
+    double v[6];
+    bool finite = true;
+    for (std::size_t i = 0; i < 6; ++i) {
+      v[i] = detail::number(row.fields[columns[i]], path, row.line);
+      finite = finite && std::isfinite(v[i]);
+    }
+    if (!finite) {
+      if (broken++ == 0) { first_broken = row.line; }
+      continue;
+    }
+    stamps.add(row.fields[0], row.line);
+    read.push_back({0, {v[0], v[1], v[2]}, {v[3], v[4], v[5]}});
+  }
+  if (broken > 0) {
+    said.push_back(path + ": " + std::to_string(broken) + " of " +
+                   std::to_string(table.rows.size()) +
+                   " samples left out: not finite (the first is in line " +
+                   std::to_string(first_broken) + ")");
+  }
+  if (read.empty()) { throw error(path + ": no samples"); }
   std::vector<std::int64_t> const times = stamps.times_ns(said);
   std::vector<imu_sample> samples;
   for (std::size_t const i :

@@ -64,6 +64,11 @@ std::string other_units(two_lists const& lists, std::vector<std::int64_t> const&
          to_text(1e-9 * b) + " s by " + lists.second_name + ": are both in one unit?";
 }
 
+void say_missing(std::string const& list, std::size_t missing, std::vector<std::string>& warnings) {
+  if (missing == 0) { return; }
+  warnings.push_back(list + ": " + std::to_string(missing) + " of the listed images are not there");
+}
+
 }  // namespace
 
 void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& layout) {
@@ -92,6 +97,8 @@ void pair_frames(two_lists const& lists, std::int64_t most_ns, layout_of_files& 
     }
     throw error(layout.root.string() + ": " + reason);
   }
+  say_missing(lists.left_name, lists.left.size() - left.size(), layout.warnings);
+  say_missing(lists.second_name, lists.second.size() - second.size(), layout.warnings);
   layout.unpaired.left = static_cast<int>(left.size() - layout.frames.size());
   layout.unpaired.right = static_cast<int>(second.size() - layout.frames.size());
   double const offset = median(apart);
@@ -174,10 +181,7 @@ void take_images(std::vector<listed_image> const& images, std::string const& pat
   if (layout.frames.empty()) {
     throw error(path + ": none of the " + std::to_string(missing) + " listed images is there");
   }
-  if (missing > 0) {
-    layout.warnings.push_back(path + ": " + std::to_string(missing) +
-                              " of the listed images are not there");
-  }
+  say_missing(path, missing, layout.warnings);
 }
 
 namespace {

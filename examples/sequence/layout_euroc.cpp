@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "examples/sequence/detail/layout.hpp"
 #include "examples/sequence/detail/stamps.hpp"
+#include "examples/sequence/detail/table.hpp"
 #include "examples/sequence/detail/text.hpp"
 
 namespace seq::detail {
@@ -14,16 +15,10 @@ std::vector<listed_image> read_image_list(fs::path const& camera,
   std::string const path = (camera / "data.csv").string();
   stamp_column stamps(path, finest_frame_step_ns);
   std::vector<std::string> names;
-  for (text_line const& line : read_lines(path)) {
-    if (is_blank_or_comment(line.text)) { continue; }
-    std::vector<std::string> const fields = split(line.text, ",", false);
-    if (fields.size() != 2) {
-      fail_at(path, line.number,
-              std::to_string(fields.size()) + " fields, must have 2 (time stamp, file)");
-    }
-    stamps.add(fields[0], line.number);
-    names.push_back(trim(fields[1]));
-    if (names.back().empty()) { fail_at(path, line.number, "no file name"); }
+  for (table_row const& row : read_table(path, 2, "time stamp, file", warnings).rows) {
+    stamps.add(row.fields[0], row.line);
+    names.push_back(row.fields[1]);
+    if (names.back().empty()) { fail_at(path, row.line, "no file name"); }
   }
   if (names.empty()) { throw error(path + ": lists no images"); }
   std::vector<std::int64_t> const times = stamps.times_ns(warnings);

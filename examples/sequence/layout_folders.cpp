@@ -169,6 +169,8 @@ std::vector<std::int64_t> frame_times(std::vector<std::int64_t> const& numbers,
   for (text_line const& line : read_lines(path)) {
     if (!is_blank_or_comment(line.text)) { lines.emplace_back(line.number, trim(line.text)); }
   }
+  bool const heading = lines.size() == numbers.size() + 1;
+  if (heading && !begins_with_number(lines.front().second)) { lines.erase(lines.begin()); }
   bool const by_order = lines.size() == numbers.size();
   if (lines.empty() || (!by_order && numbers.back() >= static_cast<std::int64_t>(lines.size()))) {
     throw error(path + ": " + std::to_string(lines.size()) + " times, must have one for each of " +

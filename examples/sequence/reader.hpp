@@ -34,10 +34,13 @@ struct imu_recording {
   std::vector<imu_sample> samples;  ///< sorted by time, none twice
 };
 
-/// Reads the data.csv of an EuRoC IMU: time stamp in ns, angular rate in rad/s, specific force in
-/// m/s^2; further columns are ignored. A line whose stamp is doubled or out of order is left out.
-/// @param warnings gets a sentence for lines that were left out, and for stamps that are not in ns
-/// @throws seq::error naming file and line: not seven finite numbers; or without any sample
+/// Reads the samples of an IMU, a line each: time stamp in ns, angular rate in rad/s, specific
+/// force in m/s^2, as EuRoC's data.csv, or in the columns that a heading names so (omega_x, gyro_x,
+/// wx; alpha_x, acc_x, ax ...); others are ignored. A line that is not finite, or whose stamp is
+/// doubled or out of order, is left out.
+/// @param warnings gets a sentence for lines that were left out, for columns that were taken by
+///   name, and for stamps that are not in ns
+/// @throws seq::error naming file and line: not seven numbers; or without any sample
 std::vector<imu_sample> read_imu_samples(std::string const& path,
                                          std::vector<std::string>* warnings = nullptr);
 

@@ -35,7 +35,10 @@ void check_image_size(std::string const& path, int width, int height,
                       camera_intrinsics const& camera) {
   if (width != camera.width || height != camera.height) {
     throw error(path + ": image is " + size_text(width, height) + " pixels, the calibration has " +
-                size_text(camera.width, camera.height) + halves_text(width, height, camera));
+                size_text(camera.width, camera.height) + halves_text(width, height, camera) +
+                (width * camera.height == height * camera.width
+                     ? "; scale fx, fy, cx, cy with the images"
+                     : ""));
   }
 }
 
@@ -194,13 +197,17 @@ std::optional<imu_recording> find_imu(layout_of_files const& l, calibration cons
     }
     return std::nullopt;
   }
-  imu_recording imu;
-  imu.calibration = calib.imu ? *calib.imu : read_euroc_imu_calibration(sensor);
-  if (calib.imu_time_offset_s) { imu.calibration.time_offset_s = *calib.imu_time_offset_s; }
-  imu.T_imu_left = imu.calibration.T_body_imu.inverse() * T_body_left;
-  imu.samples = read_imu_samples(samples, &warnings);
-  check_imu(imu, samples, warnings);
-  return imu;
+  try {
+    imu_recording imu;
+    imu.calibration = calib.imu ? *calib.imu : read_euroc_imu_calibration(sensor);
+    if (calib.imu_time_offset_s) { imu.calibration.time_offset_s = *calib.imu_time_offset_s; }
+    imu.T_imu_left = imu.calibration.T_body_imu.inverse() * T_body_left;
+    imu.samples = read_imu_samples(samples, &warnings);
+    check_imu(imu, samples, warnings);
+    return imu;
+  } catch (error const& e) {
+    throw error(std::string(e.what()) + "; --imu off (imu=False) tracks the images alone");
+  }
 }
 
 }  // namespace seq::detail

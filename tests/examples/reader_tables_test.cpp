@@ -53,6 +53,127 @@ bool said(std::vector<std::string> const& warnings, std::string const& part) {
   return false;
 }
 
+TEST(reader_tables, separators_and_headings_are_found) {
+  for (std::string const& csv :
+       {plain, "#timestamp [ns],filename\n" + plain, "timestamp,filename\n" + plain,
+        "\"timestamp\",\"filename\"\n" + replaced(plain, "a.png", "\"a.png\""),
+        "time;name\n" + replaced(replaced(replaced(plain, ",a", ";a"), ",b", "; b"), ",c", ";c"),
+        replaced(replaced(replaced(plain, ",a", "\ta"), ",b", "\tb"), ",c", "\tc"),
+        replaced(replaced(replaced(plain, ",a", "  a"), ",b", " b"), ",c", " c"),
+        replaced(replaced(replaced(plain, "a.png", "a.png,0.01"), "b.png", "b.png,0.01"), "c.png",
+                 "c.png,0.01")}) {
+    temp_folder const folder;
+    write_pair(folder, csv);
+    seq::sequence const s = seq::sequence::open(folder.path());
+    EXPECT_EQ(s.size(), 3) << csv;
+    EXPECT_TRUE(s.warnings().empty()) << csv;
+  }
+  temp_folder const folder;
+  write_pair(folder, plain + "soon,d.png\n");
+  EXPECT_TRUE(contains(message_of([&] { seq::sequence::open(folder.path()); }),
+                       "data.csv:4: 'soon' is not a time"));
+}
+
+TEST(reader_tables, listed_images_of_a_pair_that_are_not_there_are_counted) {
+  temp_folder const folder;
+  write_pair(folder, plain);
+  fs::remove(folder.path("mav0/cam0/data/b.png"));
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.size(), 2);
+  EXPECT_TRUE(said(s.warnings(), "cam0: 1 of the listed images are not there"));
+  EXPECT_FALSE(said(s.warnings(), "cam1: "));
+}
+
+TEST(reader_tables, images_of_half_the_size_ask_for_a_scaled_calibration) {
+  temp_folder const folder;
+  write_pair(folder, plain);
+  seq::write_png(folder.path("mav0/cam0/data/a.png"), {32, 24, std::vector<std::uint8_t>(768, 4)});
+  EXPECT_TRUE(contains(message_of([&] { seq::sequence::open(folder.path()); }),
+                       "scale fx, fy, cx, cy with the images"));
+}
+
+TEST(reader_tables, columns_of_an_imu_go_by_their_names) {
+  temp_folder const folder;
+  std::vector<std::string> warnings;
+  auto const first = [&](std::string const& text) {
+    warnings.clear();
+    return seq::read_imu_samples(folder.write("imu.csv", text), &warnings).front();
+  };
+  Eigen::Vector3d const gyro(1, 2, 3), accel(7, 8, 9);
+  std::string const usual = "1000000000,1,2,3,7,8,9,25\n";
+  for (char const* heading :
+       {"", "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z,temperature\n",
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m "
+        "s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2],t\n",
+        "time,one,two,three,four,five,six,seven\n", "acc before gyro\n"}) {
+    auto const sample = first(heading + usual);
+    EXPECT_EQ(sample.gyro, gyro) << heading;
+    EXPECT_EQ(sample.accel, accel) << heading;
+    EXPECT_TRUE(warnings.empty()) << heading;
+  }
+  for (char const* heading :
+       {"timestamp,ax,ay,az,gx,gy,gz\n", "#t [ns],a_x,a_y,a_z,w_x,w_y,w_z\n",
+        "Time;AccX (m/s^2);AccY;AccZ;GyroX (rad/s);GyroY;GyroZ\n",
+        "%time,field.linear_acceleration.x,field.linear_acceleration.y,"
+        "field.linear_acceleration.z,field.angular_velocity.x,field.angular_velocity.y,"
+        "field.angular_velocity.z\n"}) {
+    bool const semicolons = contains(heading, ";");
+    auto const sample = first(heading + std::string(semicolons ? "1000000000;7;8;9;1;2;3\n"
+                                                               : "1000000000,7,8,9,1,2,3\n"));
+    EXPECT_EQ(sample.gyro, gyro) << heading;
+    EXPECT_EQ(sample.accel, accel) << heading;
+    EXPECT_TRUE(said(warnings, "columns are taken by the names")) << heading;
+  }
+  auto const ros = first(
+      "%time,field.header.seq,field.orientation.x,field.orientation.y,field.orientation.z,"
+      "field.orientation.w,field.angular_velocity.x,field.angular_velocity.y,"
+      "field.angular_velocity.z,field.linear_acceleration.x,field.linear_acceleration.y,"
+      "field.linear_acceleration.z\n1000000000,4,0,0,0,1,1,2,3,7,8,9\n");
+  EXPECT_EQ(ros.gyro, gyro);
+  EXPECT_EQ(ros.accel, accel);
+}
+
+TEST(reader_tables, samples_that_are_not_finite_or_cut_are_left_out) {
+  temp_folder const folder;
+  std::vector<std::string> warnings;
+  std::string const row = ",0.1,0.2,0.3,7,8,9\n";
+  std::string const file =
+      folder.write("imu.csv", "1000000000" + row + "1005000000,nan,0,0,0,0,0\n1010000000" + row +
+                                  "1015000000,0.1,0.");
+  EXPECT_EQ(seq::read_imu_samples(file, &warnings).size(), 2U);
+  EXPECT_TRUE(said(warnings, "1 of 3 samples left out: not finite (the first is in line 2)"));
+  EXPECT_TRUE(said(warnings, "the last line is cut, and left out"));
+}
+
+TEST(reader_tables, an_imu_that_cannot_be_read_can_be_switched_off) {
+  temp_folder const folder;
+  write_pair(folder, plain);
+  folder.write("mav0/imu0/sensor.yaml",
+               "T_BS:\n  cols: 4\n  rows: 4\n"
+               "  data: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]\nrate_hz: 200\n"
+               "gyroscope_noise_density: 1e-4\ngyroscope_random_walk: 2e-5\n"
+               "accelerometer_noise_density: 2e-3\naccelerometer_random_walk: 3e-3\n");
+  folder.write("mav0/imu0/data.csv", "");
+  seq::open_options options;
+  options.read_imu = true;
+  EXPECT_TRUE(contains(message_of([&] { seq::sequence::open(folder.path(), options); }),
+                       "data.csv: no samples; --imu off"));
+}
+
+TEST(reader_tables, times_may_have_a_heading_and_a_shutter_is_described) {
+  temp_folder const folder;
+  for (char const* name : {"images/0.png", "images/1.png", "images/2.png"}) { put(folder, name); }
+  folder.write("images/times.txt", "seconds\n0.5\n0.6\n0.7\n");
+  folder.write("camchain.yaml",
+               "cam0:\n  camera_model: pinhole\n  intrinsics: [40, 40, 31.5, 23.5]\n"
+               "  distortion_model: none\n  distortion_coeffs: []\n  resolution: [64, 48]\n"
+               "  line_delay: 0.0005\n");
+  seq::sequence const s = seq::sequence::open(folder.path());
+  ASSERT_EQ(s.size(), 3);
+  EXPECT_EQ(s.time_ns(2), 700'000'000);
+  EXPECT_TRUE(contains(seq::describe(s)[1].text, "rolling shutter of 23.5 ms"));
+}
+
 /// Programs with Qt or GTK set the locale that the system asks for, and so may those of Python.
 TEST(reader_tables, numbers_have_points_in_a_locale_of_commas) {
   temp_folder const folder;

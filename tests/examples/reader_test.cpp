@@ -230,10 +230,8 @@ TEST(reader_imu, refuses_damaged_files_with_file_and_line) {
   };
   std::vector<bad_case> const samples = {
       {"1403715273267143168", "soon", "data.csv:3: 'soon' is not a time stamp"},
-      {"9.80", "nan", "data.csv:3: 'nan' is not finite"},
       {"9.81", "9.8l", "data.csv:2: '9.8l' is not a number"},
-      {"0.25,", "", "data.csv:3: 6 fields, must have at least 7"},
-      {"-1e-1", "-1e999", "data.csv:3: '-1e999' is not finite"},
+      {"0.2,0.3", "0.3", "data.csv:2: 6 fields, must have 7"},
   };
   for (bad_case const& c : samples) {
     temp_folder const folder;

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "examples/sequence/detail/table.hpp"
+
+#include <algorithm>
+
+#include "examples/sequence/detail/text.hpp"
+
+namespace seq::detail {
+namespace {
+
+std::vector<std::string> fields_of(std::string const& text, char const* separators) {
+  bool const blanks = *separators == ' ';
+  std::vector<std::string> fields = split(blanks ? trim(text) : text, separators, blanks);
+  for (std::string& field : fields) {
+    field = trim(field);
+    if (field.size() > 1 && field.front() == '"' && field.back() == '"') {
+      field = trim(field.substr(1, field.size() - 2));
+    }
+  }
+  return fields;
+}
+
+char const* separators_of(std::string const& text) {
+  for (char const* one : {";", ",", "\t"}) {
+    if (text.find(*one) != std::string::npos) { return one; }
+  }
+  return " ";
+}
+
+}  // namespace
+
+table read_table(std::string const& path, std::size_t least, std::string const& columns,
+                 std::vector<std::string>& warnings) {
+  table read;
+  char const* separators = nullptr;
+  std::string heading;
+  std::vector<text_line> const lines = read_lines(path);
+  for (text_line const& line : lines) {
+    bool const comment = is_blank_or_comment(line.text);
+    if (separators == nullptr && (comment || !begins_with_number(line.text))) {
+      if (!trim(line.text).empty()) { heading = line.text; }
+      continue;
+    }
+    if (comment) { continue; }
+    if (separators == nullptr) { separators = separators_of(line.text); }
+    read.rows.push_back({line.number, fields_of(line.text, separators)});
+  }
+  if (separators == nullptr) { return read; }
+  std::size_t const wide = read.rows.front().fields.size();
+  if (read.rows.size() > 1 && wide >= least && read.rows.back().fields.size() < least) {
+    warnings.push_back(path + ": the last line is cut, and left out");
+    read.rows.pop_back();
+  }
+  for (table_row const& row : read.rows) {
+    if (row.fields.size() >= least) { continue; }
+    fail_at(path, row.line,
+            std::to_string(row.fields.size()) + " fields, must have " + std::to_string(least) +
+                " (" + columns + ")");
+  }
+  heading.erase(0, std::min(heading.size(), heading.find_first_not_of(" \t#%")));
+  std::vector<std::string> names = fields_of(heading, separators);
+  if (names.size() == wide) { read.names = std::move(names); }
+  return read;
+}
+
+}  // namespace seq::detail

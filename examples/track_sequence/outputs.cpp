@@ -126,8 +126,11 @@ void require_writable(std::string const& folder) {
 
 std::string partial(std::string const& path) { return path + ".partial"; }
 
-/// Before the run, too.
+/// Before the run, too. A device would be replaced by the file: --save-map /dev/null.
 void require_map_writable(std::string const& path) {
+  if (fs::exists(path) && !fs::is_directory(path) && !fs::is_regular_file(path)) {
+    throw seq::error("--save-map " + path + ": cannot be written: not a plain file");
+  }
   errno = 0;
   bool const written = !fs::is_directory(path) && std::ofstream(partial(path), std::ios::app);
   int const reason = fs::is_directory(path) ? EISDIR : errno;

@@ -20,6 +20,8 @@ def load_map(path: str, odometry: Odometry) -> None:
 def require_writable(path: str) -> None:
     """Before the run, too."""
     part = Path(path + ".partial")
+    if Path(path).exists() and not Path(path).is_dir() and not Path(path).is_file():  # a device would be replaced by the file
+        raise RuntimeError(f"--save-map {path}: cannot be written: not a plain file")
     try:
         if Path(path).is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))

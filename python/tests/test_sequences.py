@@ -532,5 +532,8 @@ def test_the_program_closes_loops_and_is_found_in_a_map_of_another_process(revis
         assert done.returncode == 1 and f"--load-map {file}: " in done.stderr and word in done.stderr
     done = track(revisited, "--out", tmp_path / "c", *common, "--save-map", tmp_path / "none/room.map")
     assert done.returncode == 1 and "--save-map" in done.stderr and "cannot be written: No such file" in done.stderr
+    os.mkfifo(tmp_path / "pipe")
+    done = track(revisited, "--out", tmp_path / "c", *common, "--save-map", tmp_path / "pipe")
+    assert done.returncode == 1 and "not a plain file" in done.stderr and (tmp_path / "pipe").is_fifo()
     done = track(revisited, "--out", tmp_path / "c", *common, "--localize-only")
     assert done.returncode == 2 and "--load-map" in done.stderr

@@ -2,6 +2,7 @@
 /// @file A map in one process, the camera found in it by another one: track_sequence --save-map and
 /// --load-map with a pair, a pair with an IMU and a rig of four cameras, all on the host executor.
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -154,6 +155,8 @@ TEST(Maps, AFileThatIsNoMapIsNamed) {
   expect_refused(folder.path(), "--load-map", "not a map");
   expect_refused(folder.path("none/room.map"), "--save-map", "No such file");
   expect_refused(folder.path(), "--save-map", "Is a directory");
+  ASSERT_EQ(::mkfifo(folder.path("pipe").c_str(), 0600), 0);
+  expect_refused(folder.path("pipe"), "--save-map", "not a plain file");
   ASSERT_TRUE(succeeded(track(generated(few), folder.path("out"), {"--loops", "--save-map", map})));
   expect_refused(map, "--load-map", "saved with loops");
   expect_refused(map, "--load-map", "keypoints of an image", {"--loops", "--features", "500"});

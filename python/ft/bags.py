@@ -35,7 +35,9 @@ def open_reader(path: Path, stack: ExitStack) -> AnyReader:
     try:
         return stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
     except Exception as e:  # of rosbags, sqlite or a file cut off: whatever it is, the bag cannot be read
-        raise RuntimeError(f"{path}: not a bag that can be read ({', '.join(BAGS)}): {e}") from e
+        tool = {".bag": "rosbag reindex", ".mcap": "mcap recover"}.get(path.suffix.lower())
+        hint = f"; {tool} mends one whose recording was interrupted" if tool else ""
+        raise RuntimeError(f"{path}: not a bag that can be read ({', '.join(BAGS)}): {e}{hint}") from e
 
 
 def by_topic(reader: AnyReader, types: tuple[str, ...]) -> dict[str, list[Connection]]:

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import warnings
 from dataclasses import dataclass
-from typing import Callable, Iterable, Iterator, Optional, TypedDict, Union, cast
+from typing import Callable, Iterable, Iterator, Optional, SupportsIndex, TypedDict, Union, cast
 from typing import Sequence as Items
 
 import numpy as np
@@ -220,9 +221,12 @@ class Sequence:
     def __len__(self) -> int:
         return len(self.files)
 
-    def __getitem__(self, i: int) -> Frame:
+    def __getitem__(self, i: SupportsIndex) -> Frame:
+        k, n = operator.index(i), len(self)
+        if not -n <= k < n:
+            raise IndexError(f"frame {k} of {n}")
         try:
-            return Frame(*self.files.load(i))
+            return Frame(*self.files.load(k % n))
         except RuntimeError as e:
             raise RuntimeError(str(e) if self._recording is None else self._recording.named(str(e))) from None
 

@@ -74,6 +74,8 @@ class Unpacked:
         if top not in self.parts:
             return f"{self.source}: {part}" if part and file.exists() else self.source
         stamp = Path(rest).stem if rest else ""
+        if stamp.isdigit():  # of EuRoC's layout
+            stamp = stamp_text(int(stamp))
         return self.parts[top] + (f", image of {stamp} s" if stamp else "")
 
     def described(self, lines: list[tuple[str, str]]) -> list[tuple[str, str]]:

@@ -36,6 +36,10 @@ struct bound_camera {
         .def(nb::init<nb::handle, nb::handle>(), nb::arg("parameters").none(),
              nb::arg("distortion").none() = nb::none())
         .def_prop_ro("parameters", [](bound_camera const& c) { return c.parameters(); })
+        .def("__reduce__",
+             [](nb::handle self) {  // rigs go to other processes
+               return nb::make_tuple(self.type(), nb::make_tuple(self.attr("parameters")));
+             })
         .def("project", &bound_camera::project, nb::arg("points").none(),
              "Pixels (n, 2) of points (n, 3) in the camera's frame, and which of them are valid.")
         .def("unproject", &bound_camera::unproject, nb::arg("pixels").none(),

@@ -368,7 +368,7 @@ def test_images_without_stamps_have_those_of_the_recording(tmp_path):
 def test_what_is_refused_says_what_is_accepted(walk, tmp_path):
     damaged = tmp_path / "damaged.mcap"
     damaged.write_bytes(b"no bag")
-    with pytest.raises(RuntimeError, match="damaged.mcap: not a bag that can be read"):
+    with pytest.raises(RuntimeError, match="damaged.mcap: not a bag that can be read.*; mcap recover mends one"):
         ft.read_sequence(damaged)
     with pytest.raises(RuntimeError, match="none.bag: no such file"):
         ft.read_sequence(tmp_path / "none.bag")
@@ -428,3 +428,18 @@ def test_a_damaged_bag_names_itself(kind, walk, tmp_path):
     path.write_bytes(data)
     with pytest.raises(RuntimeError, match="run"):
         ft.read_sequence(path)
+
+
+def test_an_image_of_another_size_is_named_by_its_time(walk, tmp_path):
+    bag = Bag(tmp_path, "mcap")
+    for frame in range(3):
+        bag.info("/cam/camera_info", time_ns=FIRST_NS)
+        bag.image("/cam/image_raw", walk.frame(frame)[0][:HEIGHT - 2 * (frame == 2)], FIRST_NS + frame * 50_000_000)
+    sequence = ft.read_sequence(bag.close())
+    assert sequence[-3].time_ns == sequence[np.int64(0)].time_ns == FIRST_NS
+    with pytest.raises(RuntimeError, match=r"/cam/image_raw, image of 1700000000\.100000000 s: image is"):
+        sequence[2]
+    with pytest.raises(IndexError, match="frame 3 of 3"):
+        sequence[3]
+    with pytest.raises(TypeError, match="slice"):
+        sequence[0:2]

@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from conftest import HEIGHT, WIDTH
@@ -25,6 +28,14 @@ def test_pixels_and_rays_belong_together(camera):
     assert valid.all()
     assert np.allclose(rays / rays[:, 2:], points / points[:, 2:], atol=1e-9)
     assert not camera.project(np.array([[0.1, 0.0, -1.0]]))[1][0] or type(camera) is not ft.Pinhole
+
+
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: type(c).__name__)
+def test_rigs_go_to_other_processes(camera):
+    rig = ft.MultiRig([ft.RigCamera(camera)])
+    for same in (pickle.loads(pickle.dumps(rig)), copy.deepcopy(rig)):
+        assert type(same.cameras[0].camera) is type(camera)
+        assert same.cameras[0].camera.parameters == camera.parameters
 
 
 def test_a_pinhole_is_a_pinhole():

@@ -59,9 +59,10 @@ std::array<std::size_t, 6> columns_of(detail::table const& table, std::string co
   }
   bool const all = std::find(named.begin(), named.end(), std::size_t{0}) == named.end();
   if (!all || named == usual) { return usual; }
-  warnings.push_back(
-      path + ": columns are taken by the names of the heading: " + table.names[named[0]] +
-      " is the first angular rate, " + table.names[named[3]] + " the first acceleration");
+  warnings.push_back(path +
+                     ": columns are taken by the names of the heading: angular rates from column " +
+                     std::to_string(named[0] + 1) + " on, accelerations from " +
+                     std::to_string(named[3] + 1) + " on");
   return named;
 }
 

@@ -11,13 +11,24 @@
 namespace ftpy {
 namespace {
 
+/// What a message quotes of a file may be no UTF-8.
+void raise(PyObject* type, std::string const& text) {
+  auto const size = static_cast<Py_ssize_t>(text.size());
+  nb::object const said = nb::steal(PyUnicode_DecodeUTF8(text.data(), size, "backslashreplace"));
+  if (said.is_valid()) { PyErr_SetObject(type, said.ptr()); }
+}
+
 /// Exceptions of C++ as those of Python.
 void translate(std::exception_ptr const& p, void*) {
   try {
     std::rethrow_exception(p);
   } catch (argument_error const& e) {
-    PyErr_SetString(PyExc_ValueError, e.what());
-  } catch (ft::bad_argument const& e) { PyErr_SetString(PyExc_ValueError, e.what()); }
+    raise(PyExc_ValueError, e.what());
+  } catch (ft::bad_argument const& e) {
+    raise(PyExc_ValueError, e.what());
+  } catch (ft::error const& e) {
+    raise(PyExc_RuntimeError, e.what());
+  } catch (seq::error const& e) { raise(PyExc_RuntimeError, e.what()); }
 }
 
 std::vector<std::string> devices() {

@@ -145,3 +145,10 @@ def test_halves_of_an_imu_are_not_used(walk, tmp_path):
         bag.imu(f"/camera/{half}/sample", 10**18)
     path = bag.close()
     assert "/camera/accel/sample and /camera/gyro/sample are halves of one" in said_of(path, imu=True)[0]
+
+
+def test_a_message_may_quote_what_is_no_utf_8(tmp_path):
+    file = tmp_path / "poses.txt"
+    file.write_bytes(b"1.5\xb5s 0 0 0 0 0 0 1\n")
+    with pytest.raises(RuntimeError, match=r"poses.txt:1: '1\.5.xb5s' is not a time in seconds"):
+        ft.read_tum(file)

@@ -216,7 +216,8 @@ inline tracking_explanation explain(tracking const& t, tracking_rules const& rul
     return {tracking_reason::blurred,
             "only " + std::to_string(t.keypoints) +
                 (without_images ? " keypoints were given"
-                                : " keypoints: the image is blurred, or shows little texture")};
+                                : " keypoints: the image is blurred, shows little texture, or few "
+                                  "keypoints are asked for")};
   }
   if (few_depths) { return detail::explain_depths(t, rules, limits); }
   if (t.state == tracking_state::initialising && t.depths == depth_origin::motion) {

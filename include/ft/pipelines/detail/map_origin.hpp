@@ -62,11 +62,10 @@ public:
         throw error(
             "ft: the map was made with another kind of rig, or its file is damaged: it has "
             "'" +
-            std::string(theirs.name) + "' where this odometry has '" + std::string(mine.name) +
-            "'");
+            printable(theirs.name) + "' where this odometry has '" + std::string(mine.name) + "'");
       }
       throw error("ft: the map was made with " + std::string(mine.name) + " " +
-                  std::string(theirs.value) + ", this odometry has " + std::string(mine.value));
+                  printable(theirs.value) + ", this odometry has " + std::string(mine.value));
     }
   }
 
@@ -74,6 +73,14 @@ private:
   struct line {
     std::string_view name, value;
   };
+  /// What a stranger's file says, for a message on a terminal.
+  static std::string printable(std::string_view text) {
+    std::string shown(text.substr(0, 80));
+    for (char& c : shown) {
+      if (c < ' ' || c > '~') { c = '?'; }
+    }
+    return shown;
+  }
   /// Takes the first line off.
   static line next(std::string_view& text) {
     std::string_view const all = text.substr(0, text.find('\n'));

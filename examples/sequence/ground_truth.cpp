@@ -21,14 +21,16 @@ constexpr std::int64_t finest_step_ns = 50'000;
 trajectory read_euroc_truth(std::string const& path, std::vector<std::string>& warnings) {
   trajectory poses;
   stamp_column stamps(path, finest_step_ns);
-  for (table_row const& row :
-       read_table(path, 8, "time stamp, position, quaternion w x y z", warnings).rows) {
+  table const table = read_table(path, 8, "time stamp, position, quaternion w x y z", warnings);
+  for (table_row const& row : table.rows) {
+    if (is_no_pose(row.fields.data() + 1)) { continue; }
     stamped_pose pose;
     pose.T_world_camera =
         pose_of_fields(row.fields.data() + 1, quaternion_order::w_first, path, row.line);
     stamps.add(row.fields[0], row.line);
     poses.push_back(pose);
   }
+  say_no_poses(path, table.rows.size() - poses.size(), table.rows.size(), warnings);
   std::vector<std::int64_t> const times = stamps.times_ns(warnings);
   trajectory taken;
   for (std::size_t const i : ordered_lines(times, disordered::sorted, path, "poses", warnings)) {

@@ -13,6 +13,9 @@ namespace fs = std::filesystem;
 std::vector<listed_image> read_image_list(fs::path const& camera,
                                           std::vector<std::string>& warnings) {
   std::string const path = (camera / "data.csv").string();
+  if (!is_file(path)) {
+    throw error(path + ": no such file; accepted is a line for each image: time stamp [ns], file");
+  }
   stamp_column stamps(path, finest_frame_step_ns);
   std::vector<std::string> names;
   for (table_row const& row : read_table(path, 2, "time stamp, file", warnings).rows) {

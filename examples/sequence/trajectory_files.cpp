@@ -29,6 +29,7 @@ std::ofstream opened(std::string const& path) {
 trajectory read_tum(std::string const& path, std::vector<std::string>* warnings) {
   std::vector<std::int64_t> times;
   trajectory poses;
+  std::size_t read = 0;
   for (detail::text_line const& line : detail::read_lines(path)) {
     if (detail::is_blank_or_comment(line.text)) { continue; }
     std::vector<std::string> const words = detail::split(line.text, " \t", true);
@@ -37,6 +38,8 @@ trajectory read_tum(std::string const& path, std::vector<std::string>* warnings)
           path, line.number,
           std::to_string(words.size()) + " numbers, must have 8 (time tx ty tz qx qy qz qw)");
     }
+    ++read;
+    if (warnings != nullptr && detail::is_no_pose(words.data() + 1)) { continue; }
     stamped_pose pose;
     pose.T_world_camera = detail::pose_of_fields(words.data() + 1, detail::quaternion_order::w_last,
                                                  path, line.number);
@@ -45,6 +48,7 @@ trajectory read_tum(std::string const& path, std::vector<std::string>* warnings)
     poses.push_back(pose);
   }
   std::vector<std::string> ignored;
+  if (warnings != nullptr) { detail::say_no_poses(path, read - poses.size(), read, *warnings); }
   trajectory taken;
   for (std::size_t const i : detail::ordered_lines(times, detail::disordered::sorted, path, "poses",
                                                    warnings != nullptr ? *warnings : ignored)) {

@@ -145,6 +145,28 @@ TEST(reader_tables, samples_that_are_not_finite_or_cut_are_left_out) {
   EXPECT_TRUE(said(warnings, "the last line is cut, and left out"));
 }
 
+TEST(reader_tables, truth_that_a_tracker_had_lost_is_left_out) {
+  temp_folder const folder;
+  write_pair(folder, plain);
+  std::string const pose = ",1,2,3,1,0,0,0\n";
+  folder.write("mav0/mocap0/data.csv", "time,x,y,z,qw,qx,qy,qz\n1000000000" + pose +
+                                           "1010000000,0,0,0,0,0,0,0\n1020000000,nan,0,0,1,0,0,0\n"
+                                           "1100000000" +
+                                           pose);
+  seq::sequence const s = seq::sequence::open(folder.path());
+  EXPECT_EQ(s.ground_truth().size(), 2U);
+  EXPECT_TRUE(said(s.warnings(), "mocap0/data.csv: 2 of 4 poses left out"));
+  std::vector<std::string> warnings;
+  std::string const tum =
+      folder.write("poses.txt", "1 0 0 0 0 0 0 1\n2 nan 0 0 0 0 0 1\n3 0 0 0 0 0 0 0\n");
+  EXPECT_EQ(seq::read_tum(tum, &warnings).size(), 1U);
+  EXPECT_TRUE(said(warnings, "poses.txt: 2 of 3 poses left out"));
+  EXPECT_TRUE(
+      contains(message_of([&] { seq::read_tum(tum); }), "poses.txt:2: 'nan' is not finite"));
+  folder.write("poses.txt", "1 0 0 0 0 0 0 0.5\n");
+  EXPECT_TRUE(contains(message_of([&] { seq::read_tum(tum, &warnings); }), "quaternion norm"));
+}
+
 TEST(reader_tables, an_imu_that_cannot_be_read_can_be_switched_off) {
   temp_folder const folder;
   write_pair(folder, plain);

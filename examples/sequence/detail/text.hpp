@@ -184,6 +184,26 @@ inline Eigen::Quaterniond unit_quaternion(double w, double x, double y, double z
 /// Where a quaternion's real part is.
 enum class quaternion_order { w_first, w_last };
 
+/// Whether a tracker that had lost its body wrote the seven fields of a pose: numbers that are not
+/// finite, or a quaternion of zeros.
+inline bool is_no_pose(std::string const* fields) {
+  double v[7] = {};
+  bool finite = true;
+  for (int i = 0; i < 7; ++i) {
+    if (!to_number(fields[i], v[i])) { return false; }
+    finite = finite && std::isfinite(v[i]);
+  }
+  return !finite || std::fabs(v[3]) + std::fabs(v[4]) + std::fabs(v[5]) + std::fabs(v[6]) <= 0;
+}
+
+/// Says how many were left out.
+inline void say_no_poses(std::string const& path, std::size_t left_out, std::size_t of,
+                         std::vector<std::string>& warnings) {
+  if (left_out == 0) { return; }
+  warnings.push_back(path + ": " + std::to_string(left_out) + " of " + std::to_string(of) +
+                     " poses left out, which are not finite or whose quaternion is 0");
+}
+
 /// A pose from seven fields: position, then a unit quaternion. @throws seq::error naming file and
 /// line
 inline Eigen::Isometry3d pose_of_fields(std::string const* fields, quaternion_order order,

@@ -75,10 +75,16 @@ std::vector<imu_sample> read_imu_samples(std::string const& path,
   detail::table const table =
       detail::read_table(path, 7, "time stamp, angular rates, accelerations", said);
   std::array<std::size_t, 6> const columns = columns_of(table, path, said);
+  std::size_t const least = *std::max_element(columns.begin(), columns.end()) + 1;
   detail::stamp_column stamps(path, finest_sample_step_ns);
   std::vector<imu_sample> read;
   int first_broken = 0, broken = 0;
   for (detail::table_row const& row : table.rows) {
+    if (row.fields.size() < least) {
+      detail::fail_at(
+          path, row.line,
+          std::to_string(row.fields.size()) + " fields, must have " + std::to_string(least));
+    }
     double v[6];
     bool finite = true;
     for (std::size_t i = 0; i < 6; ++i) {

@@ -47,19 +47,19 @@ table read_table(std::string const& path, std::size_t least, std::string const& 
   }
   if (separators == nullptr) { return read; }
   std::size_t const wide = read.rows.front().fields.size();
-  if (read.rows.size() > 1 && wide >= least && read.rows.back().fields.size() < least) {
+  if (read.rows.size() > 1 && wide >= least && read.rows.back().fields.size() < wide) {
     warnings.push_back(path + ": the last line is cut, and left out");
     read.rows.pop_back();
   }
+  heading.erase(0, std::min(heading.size(), heading.find_first_not_of(" \t#%")));
+  std::vector<std::string> names = fields_of(heading, separators);
+  if (names.size() == wide) { read.names = std::move(names); }
   for (table_row const& row : read.rows) {
     if (row.fields.size() >= least) { continue; }
     fail_at(path, row.line,
             std::to_string(row.fields.size()) + " fields, must have " + std::to_string(least) +
                 " (" + columns + ")");
   }
-  heading.erase(0, std::min(heading.size(), heading.find_first_not_of(" \t#%")));
-  std::vector<std::string> names = fields_of(heading, separators);
-  if (names.size() == wide) { read.names = std::move(names); }
   return read;
 }
 

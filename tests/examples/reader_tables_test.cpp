@@ -131,6 +131,9 @@ TEST(reader_tables, columns_of_an_imu_go_by_their_names) {
       "field.linear_acceleration.z\n1000000000,4,0,0,0,1,1,2,3,7,8,9\n");
   EXPECT_EQ(ros.gyro, gyro);
   EXPECT_EQ(ros.accel, accel);
+  std::string const short_line =
+      "t,u,ax,ay,az,gx,gy,gz\n1,0,7,8,9,1,2,3\n2,0,7,8,9,1,2\n3,0,7,8,9,1,2,3\n";
+  EXPECT_TRUE(contains(message_of([&] { first(short_line); }), "imu.csv:3: 7 fields, must have 8"));
 }
 
 TEST(reader_tables, samples_that_are_not_finite_or_cut_are_left_out) {

@@ -184,7 +184,7 @@ def copy_messages(reader: AnyReader, writer: Writer, chosen: list[Stream], imu: 
             writer.imu(message, logged_ns)  # type: ignore[arg-type]
             continue
         writer.image(connection.topic, message, logged_ns)  # type: ignore[arg-type]
-        wanted.progress(writer.least())
+        wanted.tell(writer.least())
         if end_ns is None and 0 < wanted.max_frames <= writer.least():
             end_ns = logged_ns + 200_000_000  # of an IMU what comes a little later is used, too
 

@@ -23,6 +23,10 @@ ACCEPTED = (f"accepted are a folder (EuRoC, KITTI, KITTI raw, TUM RGB-D, ICL-NUI
 Progress = Callable[[int], None]
 
 
+class Told(BaseException):
+    """Carries what a caller's progress function raised through all that catches errors of files."""
+
+
 @dataclass
 class Wanted:
     """What a caller of read_sequence asks of a recording. rig: auto, stereo, mono, rgbd or mixed. topics: of images, of a bag;
@@ -34,6 +38,12 @@ class Wanted:
     calibration: str = ""
     progress: Progress = lambda images: None
     imu: bool = False
+
+    def tell(self, images: int) -> None:
+        try:
+            self.progress(images)
+        except Exception as e:
+            raise Told from e
 
 
 @dataclass
@@ -115,6 +125,8 @@ def unpacked(source: object, wanted: Wanted) -> Unpacked | None:
     file and what is wrong."""
     try:
         return _unpacked(source, wanted)
+    except Told as told:
+        raise told.__cause__ or told
     except (RuntimeError, ValueError):
         raise
     except Exception as e:  # of rosbags, sqlite, OpenCV or the disk

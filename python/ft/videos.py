@@ -170,7 +170,7 @@ def decode(video: object, path: Path, folder: Path, wanted: Wanted) -> Decoded:
         write_pnm(folder / f"{stamp_text(time_ns)}.pgm", grey)
         made.first = grey if made.first is None else made.first
         made.times_ns.append(time_ns)
-        wanted.progress(len(made.times_ns))
+        wanted.tell(len(made.times_ns))
     if not made.times_ns:
         raise RuntimeError(f"{path}: no image can be decoded: OpenCV has no decoder for it, or it is damaged")
     return made

@@ -430,6 +430,16 @@ def test_a_damaged_bag_names_itself(kind, walk, tmp_path):
         ft.read_sequence(path)
 
 
+def test_what_progress_raises_comes_as_it_is(walk, tmp_path):
+    path = stereo_bag(tmp_path, "mcap", walk)
+
+    def stop(images):
+        raise LookupError(f"{images} images")
+
+    with pytest.raises(LookupError, match="images"):
+        ft.read_sequence(path, progress=stop)
+
+
 def test_an_image_of_another_size_is_named_by_its_time(walk, tmp_path):
     bag = Bag(tmp_path, "mcap")
     for frame in range(3):

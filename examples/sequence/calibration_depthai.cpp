@@ -18,7 +18,7 @@ namespace seq {
 namespace {
 
 using namespace detail;
-using nlohmann::json;
+using json = nlohmann::ordered_json;
 
 constexpr int no_socket = -1;
 constexpr int colour_socket = 0;

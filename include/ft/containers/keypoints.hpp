@@ -42,19 +42,15 @@ using descriptor = binary_descriptor<256>;
 /// Number of differing bits, 0..256.
 FT_HOST_DEVICE inline int hamming(binary_descriptor<256> const& a,
                                   binary_descriptor<256> const& b) {
-  int distance = 0;
 #if defined(__CUDA_ARCH__)
+  int distance = 0;
   FT_UNROLL
   for (int i = 0; i < 8; ++i) { distance += popcount(a.words[i] ^ b.words[i]); }
-#else
-  for (int i = 0; i < 8; i += 2) {
-    std::uint64_t x, y;
-    std::memcpy(&x, a.words + i, sizeof x);
-    std::memcpy(&y, b.words + i, sizeof y);
-    distance += __builtin_popcountll(x ^ y);
-  }
-#endif
   return distance;
+#else
+  return detail::differing_bits(a.words, b.words) +
+         detail::differing_bits(a.words + 4, b.words + 4);
+#endif
 }
 
 namespace field {

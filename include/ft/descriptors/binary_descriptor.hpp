@@ -37,6 +37,15 @@ FT_HOST_DEVICE FT_INLINE int ones_by_adders(std::uint32_t const (&d)[4]) {
   return popcount(d[0] ^ d[1] ^ d[2]) + popcount(d[3]) + 2 * popcount(twos);
 }
 
+/// Number of bits in which four words differ, on the host. No loop: compilers keep a short one
+/// below -O3, which took three times as long.
+FT_HOST_DEVICE FT_INLINE int differing_bits(std::uint32_t const* a, std::uint32_t const* b) {
+  std::uint64_t x[2], y[2];
+  std::memcpy(x, a, sizeof x);
+  std::memcpy(y, b, sizeof y);
+  return popcount(x[0] ^ y[0]) + popcount(x[1] ^ y[1]);
+}
+
 }  // namespace detail
 
 /// Bits, compared by Hamming's distance. Bit i of byte j is bit 8 (j % 4) + i of word j / 4. Bits
@@ -92,12 +101,8 @@ struct alignas(detail::row_alignment((Bits + 31) / 32 * 4, 4)) binary_descriptor
     for (int k = 0; k < part_size; ++k) { d[k] = a.words[k] ^ b.words[k]; }
     s += detail::ones_by_adders(d);
 #else
-    for (int k = 0; k < part_size; k += 2) {
-      std::uint64_t x, y;
-      std::memcpy(&x, a.words + k, sizeof x);
-      std::memcpy(&y, b.words + k, sizeof y);
-      s += __builtin_popcountll(x ^ y);
-    }
+    s += detail::differing_bits(a.words, b.words);
+    if constexpr (part_size == 8) { s += detail::differing_bits(a.words + 4, b.words + 4); }
 #endif
   }
   FT_HOST_DEVICE FT_INLINE static int distance_of(sum const& ab, sum const&, sum const&) {

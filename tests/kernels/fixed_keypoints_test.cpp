@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "tests/support/backends.hpp"
@@ -44,6 +45,11 @@ struct frames {
     for (int i = 0; i < images; ++i) {
       changes& of = v.changes.of[i];
       of.fixed = random.chance(70) ? 1 : 0;
+      of.divided = random.chance(50) ? 1 : 0;
+      constexpr int quarters = changes::quarters * changes::cells;
+      for (int q = 0; q < quarters; ++q) {
+        v.changes.quarter_frames[i * quarters + q] = static_cast<std::uint8_t>(random.below(9));
+      }
       for (int w = 0; w < changes::words; ++w) {
         of.long_since[w] = static_cast<unsigned>(random.below(1 << 30)) * 7u;
         of.now[w] = of.long_since[w] | static_cast<unsigned>(random.below(1 << 30)) * 5u;
@@ -74,7 +80,8 @@ bool is_fixed(arrays const& v, ft::pyramid_geometry const& geometry, int image, 
   auto const seen = v.seen.slice(image);
   float const x = geometry.column(seen.x(k), kp.octave(k));
   float const y = geometry.row(seen.y(k), kp.octave(k));
-  return v.changes.is_fixed(image, x, y, width, height, sure || !(right >= 0));
+  bool const waits = !(right >= 0) && v.changes.of[image].divided == 0;
+  return v.changes.is_fixed(image, x, y, width, height, sure || waits);
 }
 
 template <typename Backend>

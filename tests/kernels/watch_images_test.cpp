@@ -124,6 +124,64 @@ TYPED_TEST(WatchImages, FindWhatIsFixedWhileTheRestMoves) {
   EXPECT_FALSE(c.fixed(0, 100, 200));
 }
 
+/// Patches of 40 pixels with gaps of 24, which cells of 10 x 10 pixels do not fit.
+bool in_patch(int x, int y) { return (x + 61) % 64 < 40 && (y + 53) % 64 < 40; }
+
+/// Whether the four samples of a quarter of a cell are in patches, of 320 x 240 pixels.
+bool quarter_in_patch(int column, int row) {
+  bool all = true;
+  for (int k = 0; k < 4; ++k) {
+    int const x = 2 * column + k % 2, y = 2 * row + k / 2;
+    all = all && in_patch((2 * x + 1) * 320 / 256, (2 * y + 1) * 240 / 192);
+  }
+  return all;
+}
+
+TYPED_TEST(WatchImages, QuartersOfCellsFindPatchesThatCellsDoNotFit) {
+  TypeParam backend;
+  camera<typename TypeParam::exec_type> c(backend.exec, 320, 240);
+  auto const see = [&](int frame) {
+    c.see([&](int i, int x, int y) {
+      return texture(i == 0 && in_patch(x, y) ? x : x + 31 * frame, y);
+    });
+  };
+  auto const is_next_to_patch = [](int x, int y) {  // quarters have 5 x 5 pixels
+    bool any = false;
+    for (int k = 0; k < 4; ++k) {
+      int const dx = k % 2 == 0 ? -3 : 2, dy = k / 2 == 0 ? -3 : 2;
+      if (x + dx < 0 || x + dx >= 320 || y + dy < 0 || y + dy >= 240) { continue; }
+      any = any || quarter_in_patch((x + dx) / 5, (y + dy) / 5);
+    }
+    return any;
+  };
+  for (int frame = 0; frame < 10; ++frame) {
+    see(frame);
+    SCOPED_TRACE(frame);
+    EXPECT_EQ(c.of(0).divided, frame >= 4 ? 1 : 0);
+    EXPECT_EQ(c.of(1).divided, 0);
+    EXPECT_EQ(c.of(0).rest_moves, frame >= 1 ? 1 : 0);
+  }
+  int fixed = 0, by_cells = 0;
+  for (int y = 0; y < 240; ++y) {
+    for (int x = 0; x < 320; ++x) {
+      auto const px = static_cast<float>(x), py = static_cast<float>(y);
+      ASSERT_EQ(c.fixed(0, px, py, true), is_next_to_patch(x, y)) << x << ' ' << y;
+      ASSERT_FALSE(c.fixed(1, px, py));
+      if (in_patch(x - 2, y - 2) && in_patch(x + 2, y + 2)) {
+        ASSERT_TRUE(c.fixed(0, px, py)) << x << ' ' << y;
+      }
+      fixed += static_cast<int>(c.fixed(0, px, py));
+      unsigned const bits = c.of(0).now[y / 10];
+      by_cells += static_cast<int>(bits >> x / 10 & 1u);
+    }
+  }
+  EXPECT_GT(3 * fixed, 4 * by_cells);
+  // A camera at rest fixes nothing else, and forgets nothing.
+  for (int k = 0; k < 12; ++k) { see(9); }
+  EXPECT_TRUE(c.fixed(0, 20, 20, true));
+  EXPECT_FALSE(c.fixed(0, 55, 63));
+}
+
 TYPED_TEST(WatchImages, AreComparedWithTheFrameBefore) {
   TypeParam backend;
   camera<typename TypeParam::exec_type> c(backend.exec, 320, 240);
@@ -173,6 +231,7 @@ TYPED_TEST(WatchImages, NothingIsFixedInAFlatOrAStillImage) {
       for (unsigned const bits : c.of(i).now) { EXPECT_EQ(bits, 0U); }
     }
     EXPECT_EQ(c.of(0).textured, 0);
+    EXPECT_EQ(c.of(0).divided + c.of(1).divided, 0);
     EXPECT_EQ(c.of(1).same, frame > 0 ? 1 : 0);
   }
   // Pixels at, and outside of, the border belong to the outermost cells.

@@ -44,7 +44,7 @@ struct mark_fixed_keypoint {
 
 private:
   /// What is far may stay where it is, too; of a keypoint without disparity that takes many frames
-  /// to tell.
+  /// to tell, unless much of the image is fixed.
   FT_HOST_DEVICE static unsigned char mark_of(fixed_keypoints const& in, int b, int i) {
     frame_view const& frame = in.frame;
     int const c = i / frame.capacity();
@@ -67,7 +67,8 @@ private:
                                  for_long);
     };
     if (stays(true)) { return fixed_for_long; }
-    return has_disparity && stays(false) ? 1 : 0;
+    bool const is_near = has_disparity || in.changes.of[image].divided != 0;
+    return is_near && stays(false) ? 1 : 0;
   }
 };
 

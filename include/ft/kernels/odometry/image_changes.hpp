@@ -14,6 +14,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/odometry/image_slopes.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
@@ -25,14 +26,19 @@ struct image_changes {
   static constexpr int words = cells / 32;
   static constexpr int side = 4;  ///< samples of a cell are side x side pixels
   static constexpr int samples = side * side;
+  static constexpr int quarters = 4;  ///< of a cell, 2 x 2 of its samples
 
-  int textured;         ///< cells with contrast, now and before
-  int moved;            ///< of these, cells with another content than a frame before
-  int still;            ///< and those whose content is where it was
-  int same;             ///< 1 = all samples are those of the frame before
-  int sum, squares;     ///< of all samples
-  int streaked;         ///< 1 = sharp in one direction only: blurred by a motion
-  int fixed;            ///< number of cells in `now`
+  int textured;      ///< cells with contrast, now and before
+  int moved;         ///< of these, cells with another content than a frame before
+  int still;         ///< and those whose content is where it was
+  int same;          ///< 1 = all samples are those of the frame before
+  int sum, squares;  ///< of all samples
+  int streaked;      ///< 1 = sharp in one direction only: blurred by a motion
+  int fixed;         ///< number of cells in `now`
+  int rest_moves;    ///< 1 = most of the image moved, so that what stayed is not of the scene
+  int divided;  ///< 1 = an eighth of the cells with contrast stays for a few frames, or a sixteenth
+                ///< for many, while the rest moves: quarters are looked at, too, since cells in
+                ///< which something ends are neither
   unsigned now[words];  ///< cells that stay while the rest moves, in this frame or for a few frames
   unsigned long_since[words];  ///< and those that did for many frames
 };
@@ -57,11 +63,14 @@ struct image_changes_view {
   std::uint8_t* reference = nullptr;      ///< [images][samples][cells] since when a cell is still
   std::uint8_t* last = nullptr;           ///< [images][samples][cells] of the last frame
   std::uint8_t* frames = nullptr;  ///< [images][cells] in which a cell was still and others not
-  int* begun = nullptr;            ///< [images] 1 = there was a frame
+  std::uint8_t* quarter_reference = nullptr;  ///< as `reference`, since when a quarter is still
+  std::uint8_t* quarter_frames = nullptr;     ///< [images][quarters][cells] as `frames`
+  int* begun = nullptr;                       ///< [images] 1 = there was a frame
   /// [rigs] bit i: image i of a rig is not there in this frame; null = all are there
   unsigned const* missing = nullptr;
   int images_of_rig = 1;
   static constexpr int sampled = image_changes::samples * image_changes::cells;
+  static constexpr int few_frames = 4, many_frames = 8;  ///< of what stays
 
   FT_HOST_DEVICE bool is_missing(int image) const {
     return missing != nullptr &&
@@ -77,48 +86,43 @@ struct image_changes_view {
         clamp(static_cast<int>(y) * image_changes::rows / height, 0, image_changes::rows - 1);
     int const cell = row * image_changes::columns + column;
     unsigned const* const bits = sure ? of[image].long_since : of[image].now;
-    return (bits[cell / 32] >> cell % 32 & 1u) != 0;
+    if ((bits[cell / 32] >> cell % 32 & 1u) != 0) { return true; }
+    return of[image].divided != 0 && is_quarter_fixed(image, x, y, width, height, sure);
+  }
+
+private:
+  /// Whether one of the four quarters next to a pixel has stayed for a few frames, or for many.
+  FT_HOST_DEVICE bool is_quarter_fixed(int image, float x, float y, int width, int height,
+                                       bool sure) const {
+    constexpr int across = 2 * image_changes::columns, down = 2 * image_changes::rows;
+    int const column = clamp(static_cast<int>(x) * 2 * across / width, 0, 2 * across - 1);
+    int const row = clamp(static_cast<int>(y) * 2 * down / height, 0, 2 * down - 1);
+    std::uint8_t const* const kept = quarter_frames + static_cast<std::ptrdiff_t>(image) *
+                                                          image_changes::quarters *
+                                                          image_changes::cells;
+    int most = 0;
+    FT_UNROLL
+    for (int k = 0; k < 4; ++k) {
+      int const i = clamp(column - 1 + k % 2 * 2, 0, 2 * across - 1) / 2;
+      int const j = clamp(row - 1 + k / 2 * 2, 0, 2 * down - 1) / 2;
+      int const quarter = j % 2 * 2 + i % 2;
+      int const cell = j / 2 * image_changes::columns + i / 2;
+      most = max_of(most, int{kept[quarter * image_changes::cells + cell]});
+    }
+    return most >= (sure ? many_frames : few_frames);
   }
 };
 
 inline void carve(carver& c, image_changes_view& v, int images) {
   c.place({images}, v.of);
   c.place({images, image_changes::rows}, v.of_row);
-  c.place({images, image_changes_view::sampled}, v.reference, v.last);
+  c.place({images, image_changes_view::sampled}, v.reference, v.last, v.quarter_reference);
   c.place({images, image_changes::cells}, v.frames);
+  c.place({images, image_changes::quarters * image_changes::cells}, v.quarter_frames);
   c.place({images}, v.begun);
 }
 
 namespace detail {
-
-/// How sharp an image is along its rows and its columns: squared differences of pixels that are 2
-/// and 8 apart. Of an edge that a motion has smeared over L pixels the former is 4 / L and the
-/// latter 8 - L / 3, for L from 2 to 8; of a sharp one they are 2 and 8.
-struct image_slopes {
-  int near_x = 0, near_y = 0, far_x = 0, far_y = 0;
-  static constexpr int near = 1, far = 4;  ///< pixels to either side
-
-  FT_HOST_DEVICE void add(image_view<std::uint8_t> const& image, int x, int y) {
-    if (min_of(image.width, image.height) <= 2 * far) { return; }
-    x = clamp(x, far, image.width - 1 - far);
-    y = clamp(y, far, image.height - 1 - far);
-    auto const squared = [&](int dx, int dy) {
-      int const d = int{image.row(y + dy)[x + dx]} - int{image.row(y - dy)[x - dx]};
-      return d * d;
-    };
-    near_x += squared(near, 0);
-    near_y += squared(0, near);
-    far_x += squared(far, 0);
-    far_y += squared(0, far);
-  }
-  /// Whether near differences are a part of the far ones that is half as large in one direction as
-  /// in the other: a streak of 5 pixels. Not where one direction has no edges, only noise.
-  FT_HOST_DEVICE bool is_streaked() const {
-    auto const across = std::int64_t{near_x} * far_y, down = std::int64_t{near_y} * far_x;
-    bool const both = 8 * std::int64_t{far_x} > far_y && 8 * std::int64_t{far_y} > far_x;
-    return both && (2 * across < down || 2 * down < across);
-  }
-};
 
 /// Item: a row of cells of an image. Threads have cells.
 struct compare_cells {
@@ -148,6 +152,7 @@ struct compare_cells {
         sample const at = sample_of(image, c, s + s / image_changes::side % 2);
         slopes.add(image, at.x, at.y);
       }
+      for (int q = 0; q < image_changes::quarters; ++q) { count_quarter(v, i, c, q, first); }
       if (still) { continue; }
       for (int s = 0; s < samples; ++s) { v.reference[place(i, c, s)] = v.last[place(i, c, s)]; }
       frames = 0;
@@ -187,6 +192,41 @@ private:
       return is_textured() && (difference <= noise || 12 * difference <= min_of(contrast, was));
     }
   };
+  /// Counts the frames in which a quarter of a cell was still, by its own samples, and most of the
+  /// image moved in the frame before. @pre compare() has written `last`
+  FT_HOST_DEVICE static void count_quarter(image_changes_view const& v, int i, int cell, int q,
+                                           bool first) {
+    constexpr int n = samples / image_changes::quarters;
+    std::ptrdiff_t at[n];
+    int sum[2] = {}, contrast[2] = {}, difference = 0;  // now, then
+    FT_UNROLL
+    for (int k = 0; k < n; ++k) {
+      at[k] = place(i, cell, (q / 2 * 2 + k / 2) * image_changes::side + q % 2 * 2 + k % 2);
+      sum[0] += v.last[at[k]];
+      sum[1] += first ? 0 : v.quarter_reference[at[k]];
+    }
+    FT_UNROLL
+    for (int k = 0; k < n; ++k) {
+      int const now = n * int{v.last[at[k]]} - sum[0];
+      int const then = first ? 0 : n * int{v.quarter_reference[at[k]]} - sum[1];
+      contrast[0] += now < 0 ? -now : now;
+      contrast[1] += then < 0 ? -then : then;
+      difference += now < then ? then - now : now - then;
+    }
+    int const least = min_of(contrast[0], contrast[1]);
+    bool const still =
+        !first && least >= 6 * n * n && (difference <= 4 * n * n || 12 * difference <= least);
+    std::uint8_t& frames =
+        v.quarter_frames[(static_cast<std::ptrdiff_t>(i) * image_changes::quarters + q) *
+                             image_changes::cells +
+                         cell];
+    int const more = still && v.of[i].rest_moves != 0 ? 1 : 0;
+    int const count = still ? min_of(frames + more, image_changes_view::many_frames) : 0;
+    frames = static_cast<std::uint8_t>(count);
+    if (still) { return; }
+    FT_UNROLL
+    for (int k = 0; k < n; ++k) { v.quarter_reference[at[k]] = v.last[at[k]]; }
+  }
 
   struct sample {
     int x, y;
@@ -242,7 +282,6 @@ private:
 /// Item: an image. Threads have rows of cells.
 struct judge_changes {
   using scratch = no_scratch;
-  static constexpr int few_frames = 4, many_frames = 8;
 
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int i, image_pyramid_view const& images,
@@ -276,9 +315,9 @@ struct judge_changes {
     bool const first = v.begun[i] == 0;
     bool const most = known != 0 ? 2 * moved > still : 4 * moved > 3 * still;
     bool const rest_moves = !first && most && 5 * (moved + still) > 4 * textured;
-    int fixed = 0;
+    four_sums fixed{};
     for (int r = g.rank(); r < image_changes::rows; r += g.size()) {
-      fixed += count_frames(v, i, r, rows[r].still_cells, rest_moves);
+      fixed = fixed + count_frames(v, i, r, rows[r].still_cells, rest_moves);
     }
     fixed = g.reduce(fixed, sum_op{});
     if (g.rank() != 0) { return; }
@@ -290,33 +329,39 @@ struct judge_changes {
     out.squares = grey.of[1];
     image_slopes const slopes{steep.of[0], steep.of[1], steep.of[2], steep.of[3]};
     out.streaked = slopes.is_streaked() ? 1 : 0;
-    out.fixed = fixed;
+    out.fixed = fixed.of[0];
+    out.rest_moves = rest_moves ? 1 : 0;
+    out.divided = 8 * fixed.of[1] > textured || 16 * fixed.of[2] > textured ? 1 : 0;
     v.begun[i] = 1;
   }
 
 private:
   /// Counts the frames in which the cells of a row were still and others were not.
-  /// @return the cells that are fixed now
-  FT_HOST_DEVICE static int count_frames(image_changes_view const& v, int i, int row,
-                                         unsigned still_cells, bool rest_moves) {
+  /// @return numbers of cells: fixed now, for a few frames, for many
+  FT_HOST_DEVICE static four_sums count_frames(image_changes_view const& v, int i, int row,
+                                               unsigned still_cells, bool rest_moves) {
     constexpr int n = image_changes::columns;
     std::uint8_t* const kept =
         v.frames + static_cast<std::ptrdiff_t>(i) * image_changes::cells + row * n;
     std::uint8_t frames[n];
     memcpy(frames, kept, sizeof frames);
+    constexpr int few_frames = image_changes_view::few_frames;
+    constexpr int many_frames = image_changes_view::many_frames;
     unsigned now = 0, long_since = 0;
+    int few = 0;
     FT_UNROLL
     for (int k = 0; k < n; ++k) {
       int const more = (still_cells >> k & 1u) != 0 && rest_moves ? 1 : 0;
       int const count = min_of(frames[k] + more, many_frames);
       frames[k] = static_cast<std::uint8_t>(count);
+      few += static_cast<int>(count >= few_frames);
       now |= static_cast<unsigned>(count >= few_frames || (rest_moves && count > 0)) << k;
       long_since |= static_cast<unsigned>(count >= many_frames) << k;
     }
     memcpy(kept, frames, sizeof frames);
     v.of[i].now[row] = now;
     v.of[i].long_since[row] = long_since;
-    return popcount(now);
+    return {{popcount(now), few, popcount(long_since), 0}};
   }
 };
 

@@ -47,7 +47,9 @@ table read_table(std::string const& path, std::size_t least, std::string const& 
   }
   if (separators == nullptr) { return read; }
   std::size_t const wide = read.rows.front().fields.size();
-  if (read.rows.size() > 1 && wide >= least && read.rows.back().fields.size() < wide) {
+  bool const ends = lines.back().ends || lines.back().number != read.rows.back().line;
+  std::size_t const whole = ends ? least : wide;
+  if (read.rows.size() > 1 && wide >= least && read.rows.back().fields.size() < whole) {
     warnings.push_back(path + ": the last line is cut, and left out");
     read.rows.pop_back();
   }

@@ -146,6 +146,11 @@ TEST(reader_tables, samples_that_are_not_finite_or_cut_are_left_out) {
   EXPECT_EQ(seq::read_imu_samples(file, &warnings).size(), 2U);
   EXPECT_TRUE(said(warnings, "1 of 3 samples left out: not finite (the first is in line 2)"));
   EXPECT_TRUE(said(warnings, "the last line is cut, and left out"));
+  std::string const wide = "1000000000,0.1,0.2,0.3,7,8,9,20\n1005000000,0.1,0.2,0.3,7,8,9";
+  std::string const other = folder.write("wide.csv", wide);
+  EXPECT_EQ(seq::read_imu_samples(other).size(), 1U) << "the last number may be cut";
+  folder.write("wide.csv", wide + "\n");
+  EXPECT_EQ(seq::read_imu_samples(other).size(), 2U) << "only a further column is missing";
 }
 
 TEST(reader_tables, truth_that_a_tracker_had_lost_is_left_out) {

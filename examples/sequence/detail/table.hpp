@@ -20,7 +20,8 @@ struct table {
 
 /// Fields are apart by semicolons, commas, tabs or blanks: the first of these in the first record.
 /// Blanks and double quotes around them are removed. A line before the first record that begins
-/// with # or with no number is a heading. `warnings` has a last line that is cut, and left out.
+/// with # or with no number is a heading. A last line that is cut is left out, and `warnings` has
+/// it.
 /// @param least fields of a record @param columns what they are, for the message
 /// @throws seq::error when the file cannot be read, or naming the line with fewer fields
 table read_table(std::string const& path, std::size_t least, std::string const& columns,

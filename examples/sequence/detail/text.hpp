@@ -25,6 +25,7 @@ namespace seq::detail {
 struct text_line {
   int number = 0;  ///< from 1
   std::string text;
+  bool ends = true;  ///< with a line break
 };
 
 inline bool is_digit(char c) { return c >= '0' && c <= '9'; }
@@ -72,7 +73,7 @@ inline std::vector<text_line> read_lines(std::string const& path) {
   while (std::getline(in, text)) {
     if (lines.empty() && text.compare(0, 3, "\xEF\xBB\xBF") == 0) { text.erase(0, 3); }
     if (!text.empty() && text.back() == '\r') { text.pop_back(); }
-    lines.push_back({static_cast<int>(lines.size()) + 1, text});
+    lines.push_back({static_cast<int>(lines.size()) + 1, text, !in.eof()});
   }
   if (in.bad()) { throw error(path + ": cannot be read"); }
   return lines;

@@ -28,16 +28,16 @@ double median_length(std::vector<imu_sample> const& samples, Eigen::Vector3d imu
 }
 
 /// 0 to 2 for x, y, z of a gyroscope, 3 to 5 of an accelerometer, -1 for another column. Names are
-/// such as w_RS_S_x [rad s^-1], omega_x, gx, GyroX, angular_velocity.x; a_RS_S_x, alpha_x, ax,
+/// such as w_RS_S_x, omega_x, gx, GyroX, angular_velocity.x; a_RS_S_x, alpha_x (Kalibr's), ax,
 /// accX.
 int quantity_of(std::string name) {
-  name = detail::trim(name.substr(0, name.find_first_of("[(")));
   std::transform(name.begin(), name.end(), name.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   if (name.size() < 2 || name.back() < 'x' || name.back() > 'z') { return -1; }
   int const axis = name.back() - 'x';
   name.pop_back();
   auto const has = [&](char const* part) { return name.find(part) != std::string::npos; };
+  if (has("bias") || has("cov") || has("angular_acc")) { return -1; }
   bool const letter = name.size() == 1 || name[1] == '_' || name[1] == '.' || name[1] == ' ';
   if (has("gyr") || has("omega") || has("angular_vel")) { return axis; }
   if (has("acc") || has("alpha")) { return 3 + axis; }
@@ -50,20 +50,26 @@ std::array<std::size_t, 6> columns_of(detail::table const& table, std::string co
                                       std::vector<std::string>& warnings) {
   std::array<std::size_t, 6> const usual = {1, 2, 3, 4, 5, 6};
   std::array<std::size_t, 6> named{};  // the time stamp is in column 0
+  bool twice = false, elsewhere = false;
   for (std::size_t c = 1; c < table.names.size(); ++c) {
     int const quantity = quantity_of(table.names[c]);
     if (quantity < 0) { continue; }
     std::size_t& column = named[static_cast<std::size_t>(quantity)];
-    if (column != 0) { return usual; }  // of two sensors
+    twice = twice || column != 0;
+    elsewhere = elsewhere || c != usual[static_cast<std::size_t>(quantity)];
     column = c;
   }
+  if (!elsewhere) { return usual; }
   bool const all = std::find(named.begin(), named.end(), std::size_t{0}) == named.end();
-  if (!all || named == usual) { return usual; }
+  std::array<std::size_t, 6> const taken = all && !twice ? named : usual;
+  std::string columns;
+  for (std::size_t const c : taken) { columns += " " + std::to_string(c + 1); }
   warnings.push_back(path +
-                     ": columns are taken by the names of the heading: angular rates from column " +
-                     std::to_string(named[0] + 1) + " on, accelerations from " +
-                     std::to_string(named[3] + 1) + " on");
-  return named;
+                     (taken == named ? ": columns are taken by the names of the heading:"
+                                     : ": the heading names columns in another order, or twice; "
+                                       "they are taken in EuRoC's:") +
+                     columns + " (angular rates x y z, accelerations x y z)");
+  return taken;
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 /// lines that are cut or not finite, a locale with a decimal comma.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <clocale>
 #include <cstdint>
 #include <filesystem>
@@ -45,6 +46,13 @@ void write_pair(temp_folder const& folder, std::string const& csv) {
 }
 
 std::string const plain = "1000000000,a.png\n1050000000,b.png\n1100000000,c.png\n";
+
+std::string with_all(std::string text, char from, std::string const& to) {
+  for (std::size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size()) {
+    text.replace(at, 1, to);
+  }
+  return text;
+}
 
 bool said(std::vector<std::string> const& warnings, std::string const& part) {
   for (std::string const& warning : warnings) {
@@ -136,6 +144,32 @@ TEST(reader_tables, columns_of_an_imu_go_by_their_names) {
   EXPECT_TRUE(contains(message_of([&] { first(short_line); }), "imu.csv:3: 7 fields, must have 8"));
 }
 
+TEST(reader_tables, headings_that_look_otherwise_than_the_records) {
+  temp_folder const folder;
+  std::string const rows = "1000000000,7,8,9,1,2,3\n1005000000,7,8,9,1,2,3\n";
+  std::string const names = "time,a_x [m s^-2],a_y [m s^-2],a_z [m s^-2],w_x,w_y,w_z";
+  for (std::string const& text :
+       {names + "\n" + replaced(replaced(rows, "3\n1", "3,\n1"), "3\n", "3,\n"),
+        with_all(names, ',', ";") + "\n" + rows,
+        with_all(names, ',', "  ") + "\n" + with_all(rows, ',', " "),
+        "# " + names + "\n# recorded today, by hand\n" + rows}) {
+    std::vector<std::string> warnings;
+    auto const samples = seq::read_imu_samples(folder.write("imu.csv", text), &warnings);
+    ASSERT_EQ(samples.size(), 2U) << text;
+    EXPECT_EQ(samples[0].gyro, Eigen::Vector3d(1, 2, 3)) << text;
+    EXPECT_TRUE(said(warnings, "by the names of the heading: 5 6 7 2 3 4")) << text;
+  }
+  std::vector<std::string> warnings;
+  std::string const twice = replaced(names, "time,", "time,acc_x,");
+  seq::read_imu_samples(folder.write("imu.csv", twice + "\n" + replaced(rows, "000,7", "000,0,7")),
+                        &warnings);
+  EXPECT_TRUE(said(warnings, "in another order, or twice; they are taken in EuRoC's: 2 3 4 5 6 7"));
+  warnings.clear();
+  std::string const damaged = folder.write("imu.csv", names + "\nsoon,7,8,9,1,2,3\n" + rows);
+  EXPECT_EQ(seq::read_imu_samples(damaged, &warnings).size(), 2U);
+  EXPECT_TRUE(said(warnings, "imu.csv:2: begins with no number, and is left out"));
+}
+
 TEST(reader_tables, samples_that_are_not_finite_or_cut_are_left_out) {
   temp_folder const folder;
   std::vector<std::string> warnings;
@@ -208,8 +242,13 @@ TEST(reader_tables, times_may_have_a_heading_and_a_shutter_is_described) {
 TEST(reader_tables, numbers_have_points_in_a_locale_of_commas) {
   temp_folder const folder;
   write_pair(folder, "1.00,a.png\n1.05,b.png\n1.10,c.png\n");
-  if (std::setlocale(LC_NUMERIC, "de_DE.UTF-8") == nullptr) {
-    GTEST_SKIP() << "the locale de_DE.UTF-8 is not installed";
+  struct c_locale {
+    ~c_locale() { std::setlocale(LC_NUMERIC, "C"); }
+  } const at_the_end;
+  char const* const names[] = {"de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "es_ES.UTF-8"};
+  if (std::none_of(std::begin(names), std::end(names),
+                   [](char const* name) { return std::setlocale(LC_NUMERIC, name) != nullptr; })) {
+    GTEST_SKIP() << "no locale with decimal commas is installed";
   }
   std::string const file = folder.path("poses.txt");
   seq::stamped_pose pose;
@@ -221,7 +260,6 @@ TEST(reader_tables, numbers_have_points_in_a_locale_of_commas) {
   folder.write("poses.txt", "1,5 0 0 0 0 0 0 1\n");
   EXPECT_TRUE(contains(message_of([&] { seq::read_tum(file); }), "not a time in seconds"));
   seq::write_kitti_poses(file, {pose});
-  std::setlocale(LC_NUMERIC, "C");
   std::ifstream in(file);
   std::string const written{std::istreambuf_iterator<char>(in), {}};
   EXPECT_EQ(written.find(','), std::string::npos) << written;

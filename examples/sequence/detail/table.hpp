@@ -19,9 +19,10 @@ struct table {
 };
 
 /// Fields are apart by semicolons, commas, tabs or blanks: the first of these in the first record.
-/// Blanks and double quotes around them are removed. A line before the first record that begins
-/// with # or with no number is a heading. A last line that is cut is left out, and `warnings` has
-/// it.
+/// Blanks and double quotes around them are removed, and an empty last field. Lines before the
+/// first record that begin with # or with no number are headings; names are those of the first one
+/// with as many fields as that record. `warnings` names headings without # but the first. A last
+/// line that is cut before its last field is left out, and `warnings` has it.
 /// @param least fields of a record @param columns what they are, for the message
 /// @throws seq::error when the file cannot be read, or naming the line with fewer fields
 table read_table(std::string const& path, std::size_t least, std::string const& columns,

@@ -126,11 +126,12 @@ def unpacked(source: object, wanted: Wanted) -> Unpacked | None:
     try:
         return _unpacked(source, wanted)
     except Told as told:
-        raise told.__cause__ or told
+        raised = told.__cause__ or told
     except (RuntimeError, ValueError):
         raise
     except Exception as e:  # of rosbags, sqlite, OpenCV or the disk
         raise RuntimeError(f"{source}: cannot be unpacked: {e or type(e).__name__}") from e
+    raise raised  # outside, so that its traceback has this one alone
 
 
 def _unpacked(source: object, wanted: Wanted) -> Unpacked | None:

@@ -45,7 +45,7 @@ struct frames {
     for (int i = 0; i < images; ++i) {
       changes& of = v.changes.of[i];
       of.fixed = random.chance(70) ? 1 : 0;
-      of.divided = random.chance(50) ? 1 : 0;
+      of.by_quarters = random.chance(50) ? 1 : 0;
       constexpr int quarters = changes::quarters * changes::cells;
       for (int q = 0; q < quarters; ++q) {
         v.changes.quarter_frames[i * quarters + q] = static_cast<std::uint8_t>(random.below(9));
@@ -80,7 +80,7 @@ bool is_fixed(arrays const& v, ft::pyramid_geometry const& geometry, int image, 
   auto const seen = v.seen.slice(image);
   float const x = geometry.column(seen.x(k), kp.octave(k));
   float const y = geometry.row(seen.y(k), kp.octave(k));
-  bool const waits = !(right >= 0) && v.changes.of[image].divided == 0;
+  bool const waits = !(right >= 0) && v.changes.of[image].by_quarters == 0;
   return v.changes.is_fixed(image, x, y, width, height, sure || waits);
 }
 

@@ -16,7 +16,8 @@
 namespace take_inertial_test {
 
 constexpr int keypoints = 300;
-constexpr int seen = 60;  ///< keypoints with a map point, all of them visual inliers
+constexpr int images = 6;  ///< of a rig, of which one or two cameras are looked at
+constexpr int seen = 60;   ///< keypoints with a map point, all of them visual inliers
 
 struct arrays {
   ft::keypoints_view keypoints;
@@ -25,6 +26,7 @@ struct arrays {
   ft::observations_view observations;
   float* information = nullptr;
   ft::image_changes* changes = nullptr;
+  unsigned* missing = nullptr;
   ft::odometry_state_view state;
   ft::inertial_view imu;
 };
@@ -42,21 +44,24 @@ struct room {
   Exec const& exec;
   test::mirrored<Exec, arrays> data;
   bool tells_errors = false;  ///< of the images' poses
+  int cameras = 1, camera_step = 1;
 
   explicit room(Exec const& on)
       : exec(on), data([](ft::carver& c, arrays& v) {
-          carve(c, v.keypoints, keypoints, 1);
-          v.holder = c.take<int>(keypoints);
+          carve(c, v.keypoints, keypoints, images);
+          v.holder = c.take<int>(2 * keypoints);
           v.T_cw = c.take<ft::pose>(1);
           carve(c, v.observations, keypoints, 1);
           v.information = c.take<float>(ft::information_terms);
-          v.changes = c.take<ft::image_changes>(1);
+          v.changes = c.take<ft::image_changes>(images);
+          v.missing = c.take<unsigned>(1);
           carve(c, v.state, 1);
           carve(c, v.imu, {4, 1, keypoints}, 1);
         }) {
     arrays const& v = data.host;
-    *v.keypoints.count = keypoints;
-    *v.changes = {};
+    std::fill_n(v.keypoints.count, images, keypoints);
+    std::fill_n(v.changes, images, ft::image_changes{});
+    *v.missing = 0;
     v.state.tracks[0] = ft::camera_track::initial();
     v.state.tracks[0].plan = ft::search_plan::follow;
     v.imu.tracks[0] = ft::inertial_track::initial();
@@ -90,12 +95,17 @@ struct room {
     arrays const& there = data.device;
     ft::frame_view f;
     f.keypoints = there.keypoints;
-    f.keypoint_step = 1;
+    f.keypoint_step = images;
+    f.cameras = cameras;
+    f.camera_step = camera_step;
     f.holder = there.holder;
+    ft::image_changes_view changes;
+    changes.of = there.changes;
+    changes.missing = there.missing;
+    changes.images_of_rig = images;
     float const* const information = tells_errors ? there.information : nullptr;
     ft::take_inertial_poses(
-        exec, {there.observations, there.state, f, information, there.T_cw, there.changes},
-        there.imu);
+        exec, {there.observations, there.state, f, information, there.T_cw, changes}, there.imu);
     data.pull(exec);
     auto const held = std::count_if(v.holder, v.holder + keypoints, [](int h) { return h >= 0; });
     return {*v.observations.inliers, static_cast<int>(held), v.T_cw->t.x, v.imu.tracks[0]};
@@ -179,15 +189,34 @@ TYPED_TEST(TakeInertialPoses, APoseFartherThanTheErrorsOfManyMatchesExplainIsNot
   EXPECT_EQ(far.x, 1);
   EXPECT_EQ(far.inliers, many) << "the frame is tracked";
   EXPECT_EQ(far.track.status, ft::integration_status::contradicted);
-  r.data.host.changes->streaked = 1;
-  auto const blurred = at(6);
-  EXPECT_EQ(blurred.x, 2) << "all keypoints are displaced alike, which their errors do not say";
-  EXPECT_EQ(blurred.track.optimized, 1);
-  EXPECT_EQ(r.frame(7 * many / 8 - 1, many, many).x, 1) << "many that disagree still outvote it";
-  r.data.host.changes->streaked = 0;
   EXPECT_EQ(at(std::numeric_limits<float>::quiet_NaN()).x, 1);
   std::fill_n(r.data.host.information, ft::information_terms, 1e6f);
   EXPECT_EQ(r.frame(many - 1, many - 1, many - 1).x, 2) << "few matches may be wrong ones";
+}
+
+TYPED_TEST(TakeInertialPoses, WhereImagesAreBlurredThePosesMayBeFarApart) {
+  TypeParam backend;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  r.tells_errors = true;
+  int const many = ft::detail::outvoting_matches;
+  std::fill_n(r.data.host.information, ft::information_terms, 0.0f);
+  r.data.host.information[15] = 36;  // a metre is six standard deviations
+  auto* const of = r.data.host.changes;
+  of[1].streaked = of[4].streaked = 1;
+  EXPECT_EQ(r.frame(many, many, many).x, 1) << "another image is";
+  of[0].streaked = 1;
+  auto const blurred = r.frame(many, many, many);
+  EXPECT_EQ(blurred.x, 2) << "all keypoints are displaced alike, which their errors do not say";
+  EXPECT_EQ(blurred.track.optimized, 1);
+  EXPECT_EQ(r.frame(7 * many / 8 - 1, many, many).x, 1) << "many that disagree still outvote it";
+  r.cameras = 2;
+  r.camera_step = 3;
+  EXPECT_EQ(r.frame(many, many, many).x, 1) << "one image of two";
+  of[3].streaked = 1;
+  EXPECT_EQ(r.frame(many, many, many).x, 2);
+  of[3].streaked = 0;
+  *r.data.host.missing = 1u << 3;
+  EXPECT_EQ(r.frame(many, many, many).x, 2) << "the other image is not there";
 }
 
 TYPED_TEST(TakeInertialPoses, AGyroscopeThatTurnsOtherwiseThanTheImagesIsNotUsed) {
@@ -210,6 +239,8 @@ TYPED_TEST(TakeInertialPoses, AGyroscopeThatTurnsOtherwiseThanTheImagesIsNotUsed
   EXPECT_EQ(off.track.gyro_agrees, 0);
   EXPECT_EQ(r.data.host.imu.from_keyframe(0).status, ft::integration_status::contradicted);
   EXPECT_EQ(turned(0).track.gyro_agrees, 1);
+  r.data.host.changes->streaked = 1;
+  EXPECT_EQ(turned(0.021f).x, 1) << "nor where images are blurred";
 }
 
 TYPED_TEST(TakeInertialPoses, AgreementForgetsContradictions) {

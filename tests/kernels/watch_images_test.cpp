@@ -85,6 +85,12 @@ TYPED_TEST(WatchImages, GoOnWhereAnImageWasMissing) {
     SCOPED_TRACE(frame);
     changes const& of = gaps.of(0);
     EXPECT_EQ(of.fixed, whole.of(0).fixed);
+    EXPECT_EQ(of.by_quarters, whole.of(0).by_quarters);
+    for (int k = 0; k < 300; k += 7) {
+      auto const x = static_cast<float>(k), y = static_cast<float>(k % 240);
+      EXPECT_EQ(gaps.fixed(0, x, y), whole.fixed(0, x, y)) << k;
+      EXPECT_EQ(gaps.fixed(0, x, y, true), whole.fixed(0, x, y, true)) << k;
+    }
     EXPECT_EQ(of.textured, missing ? 0 : whole.of(0).textured);
     EXPECT_EQ(of.moved, missing ? 0 : whole.of(0).moved);
     EXPECT_EQ(of.sum, missing ? 0 : whole.of(0).sum);
@@ -157,8 +163,8 @@ TYPED_TEST(WatchImages, QuartersOfCellsFindPatchesThatCellsDoNotFit) {
   for (int frame = 0; frame < 10; ++frame) {
     see(frame);
     SCOPED_TRACE(frame);
-    EXPECT_EQ(c.of(0).divided, frame >= 4 ? 1 : 0);
-    EXPECT_EQ(c.of(1).divided, 0);
+    EXPECT_EQ(c.of(0).by_quarters, frame >= 4 ? 1 : 0);
+    EXPECT_EQ(c.of(1).by_quarters, 0);
     EXPECT_EQ(c.of(0).rest_moves, frame >= 1 ? 1 : 0);
   }
   int fixed = 0, by_cells = 0;
@@ -231,7 +237,7 @@ TYPED_TEST(WatchImages, NothingIsFixedInAFlatOrAStillImage) {
       for (unsigned const bits : c.of(i).now) { EXPECT_EQ(bits, 0U); }
     }
     EXPECT_EQ(c.of(0).textured, 0);
-    EXPECT_EQ(c.of(0).divided + c.of(1).divided, 0);
+    EXPECT_EQ(c.of(0).by_quarters + c.of(1).by_quarters, 0);
     EXPECT_EQ(c.of(1).same, frame > 0 ? 1 : 0);
   }
   // Pixels at, and outside of, the border belong to the outermost cells.

@@ -37,7 +37,7 @@ FT_HOST_DEVICE FT_INLINE int ones_by_adders(std::uint32_t const (&d)[4]) {
   return popcount(d[0] ^ d[1] ^ d[2]) + popcount(d[3]) + 2 * popcount(twos);
 }
 
-/// Number of bits in which four words differ, on the host. No loop: compilers keep a short one
+/// Number of bits in which four words differ, for the host. No loop: compilers keep a short one
 /// below -O3, which took three times as long.
 FT_HOST_DEVICE FT_INLINE int differing_bits(std::uint32_t const* a, std::uint32_t const* b) {
   std::uint64_t x[2], y[2];

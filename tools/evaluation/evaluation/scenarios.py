@@ -122,6 +122,10 @@ INERTIAL = (
         "imu_fast_turn", "120 degrees and back in 1.5 s, 15 ms of exposure",
         generate=("--fast-turn", "3", "4.5", "120", "--exposure", "15"),
     ),
+    with_imu(
+        "imu_fast_turn_mount_5", "the same with an IMU that is turned by 5 degrees", turned(5),
+        generate=("--fast-turn", "3", "4.5", "120", "--exposure", "15"), least=TOLD,
+    ),
     *(with_imu(f"accel_bias_{b}", f"accelerometer's bias of {b} m/s^2 in any direction", bias(b)) for b in (0.1, 0.3, 0.7, 1.4)),
     with_imu("spike_accel", "one sample of 16 g", faults.spike("accel", SIXTEEN_G, 4)),
     with_imu("spike_gyro", "one sample of 2000 degrees/s", faults.spike("gyro", TWO_THOUSAND_DEGREES, 4)),

@@ -67,7 +67,7 @@ private:
                                  for_long);
     };
     if (stays(true)) { return fixed_for_long; }
-    bool const is_near = has_disparity || in.changes.of[image].divided != 0;
+    bool const is_near = has_disparity || in.changes.of[image].by_quarters != 0;
     return is_near && stays(false) ? 1 : 0;
   }
 };

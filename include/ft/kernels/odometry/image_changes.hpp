@@ -36,9 +36,9 @@ struct image_changes {
   int streaked;      ///< 1 = sharp in one direction only: blurred by a motion
   int fixed;         ///< number of cells in `now`
   int rest_moves;    ///< 1 = most of the image moved, so that what stayed is not of the scene
-  int divided;  ///< 1 = an eighth of the cells with contrast stays for a few frames, or a sixteenth
-                ///< for many, while the rest moves: quarters are looked at, too, since cells in
-                ///< which something ends are neither
+  int by_quarters;   ///< 1 = an eighth of the cells with contrast stays for a few frames, or a
+                     ///< sixteenth for many, while the rest moves: quarters of cells are looked at,
+                     ///< too, since a cell that is covered in part neither stays nor moves
   unsigned now[words];  ///< cells that stay while the rest moves, in this frame or for a few frames
   unsigned long_since[words];  ///< and those that did for many frames
 };
@@ -87,7 +87,7 @@ struct image_changes_view {
     int const cell = row * image_changes::columns + column;
     unsigned const* const bits = sure ? of[image].long_since : of[image].now;
     if ((bits[cell / 32] >> cell % 32 & 1u) != 0) { return true; }
-    return of[image].divided != 0 && is_quarter_fixed(image, x, y, width, height, sure);
+    return of[image].by_quarters != 0 && is_quarter_fixed(image, x, y, width, height, sure);
   }
 
 private:
@@ -331,7 +331,7 @@ struct judge_changes {
     out.streaked = slopes.is_streaked() ? 1 : 0;
     out.fixed = fixed.of[0];
     out.rest_moves = rest_moves ? 1 : 0;
-    out.divided = 8 * fixed.of[1] > textured || 16 * fixed.of[2] > textured ? 1 : 0;
+    out.by_quarters = 8 * fixed.of[1] > textured || 16 * fixed.of[2] > textured ? 1 : 0;
     v.begun[i] = 1;
   }
 

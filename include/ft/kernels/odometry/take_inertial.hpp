@@ -29,10 +29,9 @@ struct inertial_frames {
   observations_view seen;
   odometry_state_view state;
   frame_view frame;
-  float const* information;  ///< [batch][information_terms] of the poses of the images, or null
-  pose* T_cw;                ///< [batch] in: by the images alone
-  image_changes const* changes =
-      nullptr;  ///< [images] of the batch, by frame_view::image(), or null
+  float const* information;      ///< [batch][information_terms] of the poses of the images, or null
+  pose* T_cw;                    ///< [batch] in: by the images alone
+  image_changes_view changes{};  ///< of the images; where there are none, none is blurred
 };
 
 namespace detail {
@@ -92,14 +91,18 @@ FT_HOST_DEVICE inline float deviations2(pose const& of, pose const& other,
   return static_cast<float>(sum.value);
 }
 
-/// Whether more than half of a camera's images are sharp in one direction only. Their keypoints lie
-/// at ends of streaks, all displaced alike. The covariance of a pose does not know that.
+/// Whether more than half of a camera's images that are there are sharp in one direction only.
+/// Their keypoints lie at ends of streaks, all displaced alike. The covariance of a pose does not
+/// know that.
 FT_HOST_DEVICE inline bool is_blurred(inertial_frames const& in, int b) {
-  int streaked = 0;
-  for (int c = 0; in.changes != nullptr && c < in.frame.cameras; ++c) {
-    streaked += in.changes[in.frame.image(b, c)].streaked;
+  int images = 0, streaked = 0;
+  for (int c = 0; in.changes.of != nullptr && c < in.frame.cameras; ++c) {
+    int const image = in.frame.image(b, c);
+    if (in.changes.is_missing(image)) { continue; }
+    ++images;
+    streaked += in.changes.of[image].streaked;
   }
-  return 2 * streaked > in.frame.cameras;
+  return 2 * streaked > images;
 }
 
 FT_HOST_DEVICE inline bool is_near(pose const& seen, stored_inertial_state const& other,

@@ -173,8 +173,7 @@ public:
     how.marginalizes = false;
     optimize_inertial_poses(exec, s.rig, mount_, problems(seen), how);
     take_inertial_poses(
-        exec,
-        {seen, s.own.state, s.memory.frame, s.own.information, s.memory.poses, s.own.changes.of},
+        exec, {seen, s.own.state, s.memory.frame, s.own.information, s.memory.poses, s.own.changes},
         view_);
   }
   /// Marginalises: needed by the next frame alone.

@@ -33,7 +33,7 @@ fi
 compiler=(clang++)
 if command -v ccache >/dev/null; then compiler=(ccache clang++); fi
 
-readers_parts=(examples/sequence/{reader,masks,recording_checks,recording_files,layout,layout_euroc,layout_folder_names,layout_folders,layout_kitti,layout_seven_scenes,layout_times,layout_tum,kitti_raw,ground_truth,imu_recording,stamps,calibration,calibration_basalt,calibration_checks,calibration_colmap,calibration_depthai,calibration_euroc,calibration_files,calibration_kalibr,calibration_kitti,calibration_opencv,calibration_orb_slam3,calibration_parts,calibration_realsense,calibration_tum,yaml_file,opencv_xml,trajectory_files,image_io,image_jpeg,image_png,image_raw,image_tiff,lens_projection,rectify,rig_cameras}.cpp)
+readers_parts=(examples/sequence/{reader,masks,recording_checks,recording_files,layout,layout_euroc,layout_folder_names,layout_folders,layout_kitti,layout_seven_scenes,layout_times,layout_tum,kitti_raw,ground_truth,imu_recording,stamps,table,calibration,calibration_basalt,calibration_checks,calibration_colmap,calibration_depthai,calibration_euroc,calibration_files,calibration_kalibr,calibration_kitti,calibration_opencv,calibration_orb_slam3,calibration_parts,calibration_realsense,calibration_tum,yaml_file,opencv_xml,trajectory_files,image_io,image_jpeg,image_png,image_raw,image_tiff,lens_projection,rectify,rig_cameras}.cpp)
 
 # One unit: most of what the compiler does for each of them is the headers that they share.
 printf '#include "%s"\n' "${readers_parts[@]}" >"$folder/readers_parts.cpp"

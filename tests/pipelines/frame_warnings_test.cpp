@@ -232,7 +232,7 @@ TEST(WarningsOfFrames, EachHasItsCause) {
       {warning::dark, [](ft::tracking& t) { t.light.mean = 15; }},
       {warning::bright, [](ft::tracking& t) { t.light.mean = 240; }},
       {warning::low_texture, [](ft::tracking& t) { t.light.deviation = 4; }},
-      {warning::blurred, [](ft::tracking& t) { t.evidence.streaked = 2; }},
+      {warning::blurred, [](ft::tracking& t) { t.evidence.streaked = 1; }},  // of two images
       {warning::blurred,
        [](ft::tracking& t) {
          t.keypoints = 119;
@@ -278,7 +278,10 @@ TEST(WarningsOfFrames, WhatIsRightHasNone) {
         t.evidence.facts.common = 256;
         t.evidence.facts.common_disparity = 512;
       },
-      [](ft::tracking& t) { t.evidence.streaked = 1; },    // of two images
+      [](ft::tracking& t) {
+        t.evidence.images = 3;
+        t.evidence.streaked = 1;
+      },
       [](ft::tracking& t) { t.evidence.ambiguous = 62; },  // an eighth, rounded down
       // Two cameras that look past each other.
       [](ft::tracking& t) {

@@ -136,7 +136,8 @@ public:
     add_light_warnings(t, limits, all);
     // Nor do its pairs have the usual share of depths where images are missing.
     bool const unlit = !all.empty() || (t.missing_images | t.missing_depths) != 0;
-    if (2 * e.streaked > e.images) { all.add(tracking_warning::blurred); }
+    // Half of a pair is the image that is searched, where an IMU is believed more for that.
+    if (e.streaked > 0 && 2 * e.streaked >= e.images) { all.add(tracking_warning::blurred); }
     if (t.map_begun && t.maps > 1) { all.add(tracking_warning::new_map); }
     if (2 * t.distant_points > t.stereo_points) { all.add(tracking_warning::depth_scale); }
     if (repeats(t)) { all.add(tracking_warning::images_repeat); }

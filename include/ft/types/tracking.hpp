@@ -64,8 +64,8 @@ enum class tracking_warning : int {
   dark,                 ///< an image is nearly black
   bright,               ///< an image is nearly white
   low_texture,          ///< an image has hardly any contrast
-  blurred,              ///< too few corners in images that have contrast, or most images are sharp
-                        ///< in one direction only: a motion has smeared them
+  blurred,              ///< too few corners in images that have contrast, or half of the images or
+                        ///< more are sharp in one direction only: a motion has smeared them
   imu,                  ///< see imu_warnings()
   imu_not_used,         ///< the IMU could have been used for long, and was not
 };

@@ -146,23 +146,25 @@ TYPED_TEST(odometry_pipeline, a_batch_gives_what_its_cameras_give_alone) {
   TypeParam backend;
   auto const rig = test::room::rig();
   auto const frames = test::whole_effort() ? walk(rig, 0).size() : std::size_t{5};
-  std::vector<std::vector<ft::tracking>> alone, together(3);
+  // On a device, images of nine cameras are uploaded in two parts.
+  unsigned const batch = TypeParam::exec_type::asynchronous ? 9 : 3;
+  std::vector<std::vector<ft::tracking>> alone, together(batch);
   for (unsigned b = 0; b < 3; ++b) {
     auto images = walk(rig, b);
     images.resize(frames);
     alone.push_back(run(backend.exec, rig, params(), images));
   }
-  ft::odometry odo(backend.exec, rig, params(), 3);
+  ft::odometry odo(backend.exec, rig, params(), static_cast<int>(batch));
   for (std::size_t i = 0; i < frames; ++i) {
     std::vector<ft::stereo_images> images;
-    std::vector<std::int64_t> const times(3, static_cast<std::int64_t>(i + 1) * period);
-    for (unsigned b = 0; b < 3; ++b) { images.push_back(images_of(walk(rig, b)[i])); }
+    std::vector<std::int64_t> const times(batch, static_cast<std::int64_t>(i + 1) * period);
+    for (unsigned b = 0; b < batch; ++b) { images.push_back(images_of(walk(rig, b % 3)[i])); }
     ft::tracking const* const t = odo.track(images.data(), times.data());
-    for (std::size_t b = 0; b < 3; ++b) { together[b].push_back(t[b]); }
+    for (std::size_t b = 0; b < batch; ++b) { together[b].push_back(t[b]); }
   }
-  for (std::size_t b = 0; b < 3; ++b) {
+  for (std::size_t b = 0; b < batch; ++b) {
     SCOPED_TRACE("camera " + std::to_string(b));
-    test::expect_same(together[b], alone[b]);
+    test::expect_same(together[b], alone[b % 3]);
   }
   EXPECT_FALSE(test::same(alone[0].back(), alone[1].back()));
 }

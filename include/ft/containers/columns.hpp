@@ -52,6 +52,14 @@ View skip_entries(View v, int entries) {
   return v;
 }
 
+/// Entries `first` to first + count - 1 of a view.
+template <typename View>
+View entries_of(View const& v, int first, int count) {
+  View part = skip_entries(v, first);
+  part.batch = count;
+  return part;
+}
+
 /// Copies all arrays of a view to those of another one with the same sizes, in any spaces.
 /// Asynchronous if the executor is; allocates nothing.
 template <typename Exec, typename View>

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "ft/containers/columns.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -113,6 +114,11 @@ struct corners_view {
   /// before and after the detection
   unsigned long long* progress = nullptr;
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch, layout.total_slots}, list);
+    each({batch, layout.levels}, list_count, progress);
+  }
   FT_HOST_DEVICE std::ptrdiff_t level_slot(int image, int l) const {
     return image * layout.total_slots + layout.first_slot[l];
   }
@@ -146,8 +152,7 @@ FT_HOST_DEVICE int keep_corners(Group g, corner* list, int n, Keep const& keep) 
 inline void carve(carver& c, corners_view& v, corner_layout const& layout, int batch) {
   v.layout = layout;
   v.batch = batch;
-  c.place({batch, layout.total_slots}, v.list);
-  c.place({batch, layout.levels}, v.list_count, v.progress);
+  detail::place_columns(c, v);
 }
 
 }  // namespace FT_ABI

@@ -10,6 +10,7 @@
 
 #include <type_traits>
 
+#include "ft/containers/columns.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/atomics.hpp"
@@ -71,6 +72,11 @@ struct frame_arrivals {
   int parts = 0;  ///< chunks of an image
   int quads_of_row = 0;
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch, parts}, received);
+    each({batch}, placed);
+  }
   FT_HOST_DEVICE bool overlapping() const { return received != nullptr; }
   FT_HOST_DEVICE static int parts_of(pyramid_geometry const& g) {
     return ceil_div(ceil_div(g.width[0], 16) * g.height[0], quads_of_part);
@@ -112,8 +118,7 @@ inline void carve(carver& c, frame_arrivals& v, pyramid_geometry const& g, int b
   v.batch = batch;
   v.parts = frame_arrivals::parts_of(g);
   v.quads_of_row = ceil_div(g.width[0], 16);
-  c.place({batch, v.parts}, v.received);
-  c.place({batch}, v.placed);
+  detail::place_columns(c, v);
 }
 
 }  // namespace FT_ABI

@@ -9,6 +9,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "ft/containers/columns.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -143,6 +144,10 @@ struct image_pyramid_view {
   int batch = 0;
   absent_images absent{};  ///< black
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch, geometry.bytes}, data);
+  }
   FT_HOST_DEVICE image_view<std::uint8_t> level(int image, int l) const {
     return {data + image * geometry.bytes + geometry.offset[l], geometry.width[l],
             geometry.height[l], geometry.stride[l]};
@@ -154,7 +159,7 @@ static_assert(std::is_trivially_copyable<image_pyramid_view>::value, "passed to 
 inline void carve(carver& c, image_pyramid_view& v, pyramid_geometry const& geometry, int batch) {
   v.geometry = geometry;
   v.batch = batch;
-  c.place({batch, geometry.bytes}, v.data);
+  detail::place_columns(c, v);
 }
 
 /// Owner of a pyramid; move-only.

@@ -92,8 +92,8 @@ template <typename Exec>
 class side_branch {
 public:
   void make() {}
-  Exec const& fork(Exec const& exec) { return exec; }
-  void join(Exec const&) {}
+  Exec const& fork(Exec const& exec) const { return exec; }
+  void join(Exec const&) const {}
 };
 
 #if defined(__CUDACC__)
@@ -103,13 +103,13 @@ class side_branch<cuda_exec> {
 public:
   /// Creates the stream and the events; once, before the first fork(). @throws cuda_error
   void make() { handles_.emplace(); }
-  cuda_exec fork(cuda_exec const& exec) {
+  cuda_exec fork(cuda_exec const& exec) const {
     handles_->begin.record(exec.stream);
     handles_->begin.make_wait(handles_->branch.get());
     return detail::launch_access::make(handles_->branch.get(),
                                        detail::launch_access::programmatic(exec));
   }
-  void join(cuda_exec const& exec) {
+  void join(cuda_exec const& exec) const {
     handles_->end.record(handles_->branch.get());
     handles_->end.make_wait(exec.stream);
   }

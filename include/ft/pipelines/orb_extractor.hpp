@@ -138,8 +138,8 @@ public:
   void extract_from(Exec const& exec, image_source const* sources, Grids const& grids) {
     stages_.require_made("extractor");
     detail::stage_line<Exec> line(exec, clock_);
-    detail::queue_images(line, detail::extraction_with<Exec, Grids>{stages(), sources, grids},
-                         false);
+    detail::extraction_with<Exec, Grids> const with{stages(), sources, grids};
+    detail::queue_images(line, with, false);
     line.end();
   }
   /// A copy of the keypoints in memory that the host reads. Waits, and allocates.

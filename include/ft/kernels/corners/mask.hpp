@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <type_traits>
 
+#include "ft/containers/columns.hpp"
 #include "ft/containers/corners.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
@@ -22,6 +23,10 @@ struct corner_masks_view {
   int height = 0;
   int batch = 0;
 
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch, height, width}, data);
+  }
   FT_HOST_DEVICE image_view<std::uint8_t> mask(int image) const {
     return {data + static_cast<std::ptrdiff_t>(image) * width * height, width, height, width};
   }
@@ -39,7 +44,7 @@ inline void carve(carver& c, corner_masks_view& v, int width, int height, int ba
   v.width = width;
   v.height = height;
   v.batch = batch;
-  c.place({batch, height, width}, v.data);
+  detail::place_columns(c, v);
 }
 
 namespace detail {

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 
+#include "ft/containers/columns.hpp"
 #include "ft/containers/corners.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/core/arithmetic.hpp"
@@ -90,6 +91,7 @@ struct node_range {
 /// The kept corners of a batch of images, and the workspace of the quadtree.
 struct distribution_view {
   distribution_layout layout;
+  std::ptrdiff_t total_slots = 0;  ///< corner_layout::total_slots
   int batch = 0;
   corner* kept = nullptr;     ///< [batch][total], per level in list order
   int* kept_count = nullptr;  ///< [batch][levels]
@@ -103,6 +105,15 @@ struct distribution_view {
   int* splits_before = nullptr;             ///< [batch][total]
   int* gain_before = nullptr;               ///< [batch][total]
 
+  /// All but `wants_more`.
+  template <typename Visit>
+  void columns(Visit&& each) {
+    each({batch, max_of(layout.total, 1)}, kept);  // ordering always reads the first
+    each({batch, layout.levels}, kept_count);
+    each({batch, total_slots + layout.levels * key_pad}, keys);
+    each({batch, total_slots}, order);
+    each({batch, layout.total}, list[0], list[1], node_keys, splits_before, gain_before);
+  }
   /// Features that are wanted of a level of an image.
   FT_HOST_DEVICE int wanted(int image, int l) const {
     bool const more = wants_more != nullptr && wants_more[image] != 0;
@@ -114,14 +125,9 @@ struct distribution_view {
 inline void carve(carver& c, distribution_view& v, distribution_layout const& layout,
                   corner_layout const& corners, int batch) {
   v.layout = layout;
+  v.total_slots = corners.total_slots;
   v.batch = batch;
-  std::size_t const total =
-      detail::checked_mul(static_cast<std::size_t>(batch), static_cast<std::size_t>(layout.total));
-  c.place({max_of(total, std::size_t{1})}, v.kept);  // ordering always reads the first
-  c.place({batch, layout.levels}, v.kept_count);
-  c.place({batch, corners.total_slots + layout.levels * distribution_view::key_pad}, v.keys);
-  c.place({batch, corners.total_slots}, v.order);
-  c.place({total}, v.list[0], v.list[1], v.node_keys, v.splits_before, v.gain_before);
+  detail::place_columns(c, v);
 }
 
 }  // namespace FT_ABI

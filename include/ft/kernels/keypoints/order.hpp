@@ -36,7 +36,9 @@ struct ordering_view {
 };
 
 /// For order_corners() without feature grids; see below.
-struct no_grids {};
+struct no_grids {
+  no_grids from(int /*image*/) const { return {}; }
+};
 
 namespace detail {
 
@@ -249,6 +251,15 @@ template <bool Rectified>
 struct keypoint_grids {
   feature_grid_view cells;
   feature_grid_view right_rows;  ///< one column of image rows; rectified pairs only
+
+  /// Those of the images from `image` on, the left one of a pair.
+  keypoint_grids from(int image) const {
+    if constexpr (Rectified) {
+      return {cells.slice(image / 2), right_rows.slice(image / 2)};
+    } else {
+      return {cells.slice(image), right_rows};
+    }
+  }
 };
 
 namespace detail {

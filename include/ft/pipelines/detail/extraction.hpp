@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstddef>
+#include <vector>
 
 #include "ft/containers/corners.hpp"
 #include "ft/containers/frame_arrivals.hpp"
@@ -11,6 +12,7 @@
 #include "ft/containers/keypoints.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
+#include "ft/core/recording.hpp"
 #include "ft/kernels/blur.hpp"
 #include "ft/kernels/corners/detect_corners.hpp"
 #include "ft/kernels/corners/mask.hpp"
@@ -51,6 +53,25 @@ struct extraction {
   int* place = nullptr;
   int* mono_count = nullptr;
   frame_arrivals arrivals;
+  int first = 0;  ///< image of the batch, of which the views are those from there on
+
+  /// The stages of a part of the batch. @param from, count multiples of the images of a rig
+  extraction part(int from, int count) const {
+    extraction p = *this;
+    p.first = first + from;
+    p.pyramid = entries_of(pyramid, from, count);
+    p.blurred = entries_of(blurred, from, count);
+    p.corners = entries_of(corners, from, count);
+    p.masks = entries_of(masks, from, count);
+    p.kept = entries_of(kept, from, count);
+    if (kept.wants_more != nullptr) { p.kept.wants_more += from; }
+    p.keypoints = entries_of(keypoints, from, count);
+    p.overlaps += from;
+    p.place += static_cast<std::ptrdiff_t>(from) * kept.layout.total;
+    p.mono_count += from;
+    p.arrivals = entries_of(arrivals, from, count);
+    return p;
+  }
 
   description_source described_in() const { return {pyramid, blurred, pattern}; }
   bool drops_edges() const { return corner_ratio > 0; }
@@ -59,11 +80,14 @@ struct extraction {
   /// Whether tiles of the pyramid wait for their rows while later rows are still being uploaded.
   bool pyramid_overlaps_upload() const { return Exec::asynchronous && tiles.groups == 1; }
 
-  /// Uploads images and two blocks from host memory.
-  void upload(Exec const& exec, image_source const* sources, block_source const& first,
-              block_source const& second) const {
-    receive_images(exec, sources, pyramid, first, second,
-                   pyramid_overlaps_upload() ? arrivals : frame_arrivals{});
+  /// Uploads images and, with the first ones, two blocks from host memory.
+  /// @param sources [batch]
+  void upload(Exec const& exec, image_source const* sources, block_source const& a,
+              block_source const& b) const {
+    frame_arrivals const told = pyramid_overlaps_upload() ? arrivals : frame_arrivals{};
+    bool const blocks = first == 0;
+    receive_images(exec, sources + first, pyramid, blocks ? a : block_source{},
+                   blocks ? b : block_source{}, told);
   }
   /// The pyramid while upload() runs, if pyramid_overlaps_upload().
   void pyramid_of_upload(Exec const& exec) const {
@@ -122,13 +146,39 @@ struct extraction {
   }
 };
 
+/// Parts of a batch of rigs whose images are uploaded one after the other: the device finds the
+/// keypoints of those that are there while the bus has the next ones.
+template <typename Exec>
+class image_parts {
+public:
+  /// @param rigs of the batch @param images of a rig
+  void make(int rigs, int images) {
+    images_ = images;
+    rigs_ = rigs;
+    // Below eight rigs the launches of more parts cost what is gained; above eight parts little is.
+    int const count = Exec::asynchronous && rigs >= 8 ? min_of(rigs / 2, 8) : 1;
+    branches_ = std::vector<side_branch<Exec>>(static_cast<std::size_t>(count));
+    for (auto& b : branches_) { b.make(); }
+  }
+  int count() const { return static_cast<int>(branches_.size()); }
+  /// First image of part k; of k = count() the number of images.
+  int first(int k) const { return images_ * (k * rigs_ / count()); }
+  side_branch<Exec>& branch(int k) { return branches_[static_cast<std::size_t>(k)]; }
+
+private:
+  int rigs_ = 0;
+  int images_ = 0;
+  std::vector<side_branch<Exec>> branches_;
+};
+
 /// The stages with images from host memory and the caller's grids.
 template <typename Exec, typename Grids>
 struct extraction_with {
-  extraction<Exec> const& stages;
+  extraction<Exec> stages;
   image_source const* sources;
   Grids grids;
 
+  static constexpr bool in_parts = false;  ///< queue_images()
   void upload(Exec const& exec, bool /*with_local*/) const { stages.upload(exec, sources, {}, {}); }
   bool pyramid_overlaps_upload() const { return stages.pyramid_overlaps_upload(); }
   void pyramid_of_upload(Exec const& exec) const { stages.pyramid_of_upload(exec); }

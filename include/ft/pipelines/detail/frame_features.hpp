@@ -58,10 +58,9 @@ struct frame_features {
     stage_line<Exec> line(exec, untimed);
     using grids_type = decltype(grids_of(matcher, grids));
     if constexpr (describes_images) {
-      queue_images(
-          line,
-          from_input<grids_type>{{extractor.stages(), nullptr, grids_of(matcher, grids)}, input},
-          false);
+      from_input<grids_type> const from{{extractor.stages(), nullptr, grids_of(matcher, grids)},
+                                        input};
+      queue_images(line, from, false);
     }
     if constexpr (parts_of_rig::undistorts) {
       matcher.undistort(line.then("undistort"), extractor, grids);

@@ -12,7 +12,8 @@
 ///
 /// Why stages overlap: the pyramid is computed from the rows that have arrived while the bus is the
 /// bottleneck; distribution and ordering have one block per image and level, which leaves most of a
-/// device idle; listing candidates needs no stereo matches, choosing from them does.
+/// device idle; listing candidates needs no stereo matches, choosing from them does. Of a batch,
+/// the bus has images of one part while the device finds the keypoints of those before.
 #pragma once
 
 #include "ft/core/config.hpp"
@@ -87,6 +88,16 @@ public:
     branch.join(exec_);
   }
   void end() { end_stage(nullptr); }
+  /// Whether stages are timed.
+  bool timed() const { return clock_.enabled(); }
+  /// Enqueues chain(line of the branch), which runs concurrently with all later launches, until
+  /// join(). Not timed.
+  template <typename Chain>
+  void aside(side_branch<Exec>& branch, Chain const& chain) {
+    stage_line other = *this;
+    other.exec_ = fork(branch);
+    chain(other);
+  }
 
 private:
   /// Marks the end of the preceding stage. @return the mark
@@ -116,10 +127,30 @@ void queue_features(Line& line, Features const& f) {
   if (f.refines_positions()) { f.refine(line.then("descriptors")); }
 }
 
+/// The same as queue_images() part by part.
+template <typename Line, typename Stages>
+void queue_image_parts(Line& line, Stages& s, bool with_local) {
+  for (int k = 0; k < s.parts(); ++k) {
+    auto const part = s.part(k);
+    s.upload_part(line.then("upload"), part.stages, with_local);
+    line.aside(s.branch_of_part(k), [&](Line& l) {
+      part.build_levels(l.then("pyramid"));
+      queue_features(l, part);
+    });
+  }
+  for (int k = 0; k < s.parts(); ++k) { line.join(s.branch_of_part(k)); }
+}
+
 /// Images and inputs of a frame, and its keypoints. @param with_local also uploads the local map
 /// @param then called once the images are enqueued
 template <typename Line, typename Stages, typename Then>
-void queue_images(Line& line, Stages const& s, bool with_local, Then const& then) {
+void queue_images(Line& line, Stages& s, bool with_local, Then const& then) {
+  if constexpr (Stages::in_parts) {
+    if (s.parts() > 1 && !line.timed()) {
+      queue_image_parts(line, s, with_local);
+      return then();
+    }
+  }
   s.upload(line.then("upload"), with_local);
   if (s.pyramid_overlaps_upload()) {
     s.pyramid_of_upload(line.with("pyramid"));
@@ -130,7 +161,7 @@ void queue_images(Line& line, Stages const& s, bool with_local, Then const& then
   queue_features(line, s);
 }
 template <typename Line, typename Stages>
-void queue_images(Line& line, Stages const& s, bool with_local) {
+void queue_images(Line& line, Stages& s, bool with_local) {
   queue_images(line, s, with_local, [] {});
 }
 

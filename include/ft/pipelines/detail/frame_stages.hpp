@@ -66,10 +66,22 @@ public:
 
   // ---- images and keypoints
 
-  /// Uploads images, motion and, on request, the local map.
+  static constexpr bool in_parts = Exec::asynchronous;
+  int parts() const { return parts_.count(); }
+  /// The stages of part k of the images.
+  auto part(int k) const {
+    auto const grids = grids_of(matcher, memory.frame.grids).from(parts_.first(k));
+    return extraction_with<Exec, std::decay_t<decltype(grids)>>{
+        features().part(parts_.first(k), parts_.first(k + 1) - parts_.first(k)), nullptr, grids};
+  }
+  side_branch<Exec>& branch_of_part(int k) { return parts_.branch(k); }
+  /// Uploads images, and with the first ones motion and, on request, the local map.
+  void upload_part(Exec const& exec, extraction<Exec> const& to, bool with_local) const {
+    to.upload(exec, sources, memory.motion.source(),
+              with_local ? memory.local.source() : block_source{});
+  }
   void upload(Exec const& exec, bool with_local) const {
-    features().upload(exec, sources, memory.motion.source(),
-                      with_local ? memory.local.source() : block_source{});
+    upload_part(exec, features(), with_local);
   }
   bool pyramid_overlaps_upload() const { return features().pyramid_overlaps_upload(); }
   void pyramid_of_upload(Exec const& exec) const { features().pyramid_of_upload(exec); }
@@ -232,6 +244,7 @@ public:
                 lists_local_early());
     point_frame_at_features();
     stereo_branch_.make();
+    parts_.make(batch, Rig::images);
     result_branch_.make();
   }
   /// The keypoints where they were found, or where the undistorted camera sees them.
@@ -301,6 +314,7 @@ private:
                          {start, memory.poses, memory.observations, information}, pose_settings);
   }
 
+  image_parts<Exec> parts_;
   side_branch<Exec> stereo_branch_;
   side_branch<Exec> result_branch_;
 };

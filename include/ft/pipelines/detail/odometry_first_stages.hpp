@@ -48,9 +48,14 @@ public:
     predict_frames(exec, own.inputs, settings.rules, own.state, predictions());
   }
   /// Images alone: the other inputs come with read_inputs().
-  void upload(Exec const& exec, bool /*with_local*/) const {
-    input.upload(exec, this->extractor.stages());
+  void upload_part(Exec const& exec, extraction<Exec> const& to, bool /*with_local*/) const {
+    input.upload(exec, to);
   }
+  void upload(Exec const& exec, bool with_local) const {
+    upload_part(exec, this->extractor.stages(), with_local);
+  }
+  /// A rectification needs all images.
+  int parts() const { return input.overlaps_pyramid ? base::parts() : 1; }
   bool pyramid_overlaps_upload() const {
     return input.overlaps_pyramid && base::pyramid_overlaps_upload();
   }

@@ -6,7 +6,8 @@
     bench/results.py raw.json beside_cuvslam.json --what TEXT
 
 Without --client ft alone, also on the host (--backend host). FOLDER has the recordings of ROWS, by their names; those that are not there are left out, and said so. cuVSLAM runs three
-times by its default, which adjusts beside the frames and differs from run to run, and once adjusting within the frames."""
+times by its default, which adjusts beside the frames and differs from run to run, and once adjusting within the frames. Of generated sequences it also says the error of
+a motion over one frame, of cuVSLAM's run within the frames."""
 import argparse
 import datetime
 import json
@@ -19,6 +20,9 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tools" / "evaluation"))
+from evaluation import motions  # noqa: E402
+
 BACK = "and back"
 # recording, rig, every n-th frame; or all frames, then backward (KITTI's layout)
 ROWS = [
@@ -87,6 +91,17 @@ def run(command):
     return done
 
 
+def error_over_a_frame(estimate, truth):
+    """RMSE of the translations of motions over one frame, metres, of two trajectories in TUM's format with the same stamps."""
+    estimate, truth = motions.read_tum(estimate), motions.read_tum(truth)
+    stamps = [s for s in truth if s in estimate]
+    errors = []
+    for a, b in zip(stamps, stamps[1:]):
+        wrong = motions.relative(motions.relative(truth[a], truth[b]), motions.relative(estimate[a], estimate[b]))
+        errors.append(motions.length(wrong[1]))
+    return motions.root_mean_square(errors)
+
+
 def track_ft(options, folder, rig, imu, work):
     """Frames one after the other: none is prefetched."""
     out = work / "ft"
@@ -129,8 +144,13 @@ def compare(options, name, source, rig, every, imu, work):
     folder = there_and_back(source, work / "thinned") if every == BACK else thinned(source, work / "thinned", every)
     row = {"recording": name, "every": every, "rig": rig, "imu": imu}
     row.update(track_ft(options, folder, rig, imu, work))
+    truth, generated = work / "ft" / "groundtruth.txt", name.startswith("generated")
+    if generated and truth.is_file():
+        row["ft.rpe_frame_m"] = error_over_a_frame(work / "ft" / "trajectory.txt", truth)
     if options.client:
         row.update(track_cuvslam(options, folder, rig, imu, work))
+        if generated and truth.is_file() and (work / "cuvslam.txt").is_file():
+            row["cuvslam.rpe_frame_m"] = error_over_a_frame(work / "cuvslam.txt", truth)
     shutil.rmtree(work / "thinned", ignore_errors=True)
     print(json.dumps(row), flush=True)
     return row

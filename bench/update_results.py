@@ -451,8 +451,8 @@ def beside_cuvslam():
     lines = [
         f"{records[0]['machine']['gpu']}; {records[-1]['date']}, commits {commits}.",
         "",
-        "| frames | of them every | ATE, mm: ft | cuVSLAM, 3 runs | adjusting within frames | RPE over a frame, mm: ft | cuVSLAM | ms: ft p50, p99 | cuVSLAM |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| frames | of them every | ATE, mm: ft | cuVSLAM, 3 runs | adjusting within frames | RPE of a frame, mm: ft, cuVSLAM | ms: ft p50, p99 | cuVSLAM |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for r in [row for record in records for row in record["tables"]["rows"]]:
         name = r["recording"] + (f", seed {r['seed']}" if "seed" in r else "")
@@ -463,7 +463,7 @@ def beside_cuvslam():
         cells = [
             name, r["every"], found, least if least == most else f"{least} to {most}",
             f"{1000 * r['cuvslam.ate_synchronous_m']:.1f}",
-            *(f"{1000 * r[f'{who}.rpe_frame_m']:.2f}" if r.get(f"{who}.rpe_frame_m") else "" for who in ("ft", "cuvslam")), *times,
+            ", ".join(f"{1000 * r[name]:.2f}" for name in ("ft.rpe_frame_m", "cuvslam.rpe_frame_m") if r.get(name)), *times,
         ]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return lines

@@ -16,8 +16,6 @@
 #include <vector>
 
 #include "ft/core/execution.hpp"
-#include "ft/core/stage_clock.hpp"
-#include "ft/pipelines/detail/frame_schedule.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"
 
@@ -306,47 +304,6 @@ TYPED_TEST(extractor_unit, an_image_does_not_depend_on_its_place_in_the_batch) {
   }
   EXPECT_GT(together[0].count(), 100u);
   EXPECT_EQ(together[1].count(), 0u);
-}
-
-/// Corners of a part of a batch, as a batch of frames finds them.
-template <typename Exec>
-void find_in_part(Exec const& exec, ft::detail::extraction<Exec> const& part) {
-  part.build_levels(exec);
-  ft::stage_clock<Exec> untimed;
-  ft::detail::stage_line<Exec> line(exec, untimed);
-  ft::detail::queue_features(line, part);
-  exec.wait();
-}
-
-TYPED_TEST(extractor_unit, parts_of_a_batch_give_what_the_whole_gives) {
-  auto params = size(200, 150);
-  params.mask_width = 20;
-  params.mask_height = 15;
-  std::vector<image> images;
-  std::vector<ft::stereo_overlap> overlaps;
-  for (unsigned i = 0; i < 5; ++i) {
-    images.push_back(noise(200, 150, 20 + i));
-    overlaps.push_back({30.0f * static_cast<float>(i), 200});
-  }
-  typename TestFixture::extractor whole(this->backend.exec, params, 5, overlaps);
-  typename TestFixture::extractor other(this->backend.exec, params, 5, overlaps);
-  image left_half(20 * 15, 0);
-  for (std::size_t k = 0; k < left_half.size(); ++k) { left_half[k] = k % 20 < 10 ? 255 : 0; }
-  for (auto* const e : {&whole, &other}) {
-    e->set_mask(this->backend.exec, 3, {left_half.data(), 20, 15, 20});
-    this->backend.exec.wait();
-  }
-  auto const expected = this->extract(whole, images);
-  for (int i = 0; i < 5; ++i) {
-    other.upload(this->backend.exec, i,
-                 {images[static_cast<std::size_t>(i)].data(), 200, 150, 200});
-    this->backend.exec.wait();
-  }
-  find_in_part(this->backend.exec, other.stages().part(3, 2));
-  find_in_part(this->backend.exec, other.stages().part(0, 3));
-  EXPECT_TRUE(this->read(other) == expected);
-  EXPECT_NE(expected[3].count(), expected[2].count()) << "the mask counts";
-  EXPECT_GT(expected[4].mono, 0);
 }
 
 /// The second of every three images is absent.

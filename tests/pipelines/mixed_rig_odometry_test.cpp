@@ -125,6 +125,27 @@ TYPED_TEST(mixed_rig_odometry, two_fisheye_pairs_a_pinhole_and_a_depth_camera_gi
   this->RecordProperty("rms_mm_alone", alone);
 }
 
+/// On a device, images of eight rigs are uploaded in parts.
+TYPED_TEST(mixed_rig_odometry, a_batch_gives_what_its_rigs_give_alone) {
+  TypeParam backend;
+  int const batch = TypeParam::exec_type::asynchronous ? 8 : 2;
+  auto const rig = whole();
+  std::vector<mixed_frame> const walks[2]{make_mixed_walk(rig, 0, 4), make_mixed_walk(rig, 1, 4)};
+  run const alone[2]{follow(backend.exec, rig, walks[0]), follow(backend.exec, rig, walks[1])};
+  ft::odometry<typename TypeParam::exec_type, rig_type> odo(
+      backend.exec, rig, test::room::odometry_params(8192), batch);
+  for (std::size_t f = 0; f < walks[0].size(); ++f) {
+    std::vector<ft::mixed_images<cameras>> images;
+    for (int b = 0; b < batch; ++b) { images.push_back(views_of<cameras>(walks[b % 2][f])); }
+    std::vector<std::int64_t> const times(images.size(),
+                                          static_cast<std::int64_t>(f + 1) * 50'000'000);
+    ft::tracking const* const t = odo.track(images.data(), times.data());
+    for (int b = 0; b < batch; ++b) {
+      EXPECT_TRUE(test::same(t[b], alone[b % 2].frames[f])) << "rig " << b << ", frame " << f;
+    }
+  }
+}
+
 TYPED_TEST(mixed_rig_odometry, a_fisheye_pair_is_as_exact_as_a_stereo_rig) {
   TypeParam backend;
   auto rig = rig_of(fisheyes(ft::pose::identity()));

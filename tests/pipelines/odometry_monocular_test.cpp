@@ -149,7 +149,7 @@ TYPED_TEST(monocular_odometry, tracks_a_batch_as_each_camera_alone) {
   odometry_type other(backend.exec, rig(), params());
   auto const alone = run(one, {ahead.begin(), ahead.end() - 2});
   auto const beside = run(other, later);
-  // On a device, images of eight cameras are uploaded in two parts.
+  // On a device, images of eight cameras are uploaded in parts.
   int const batch = backend.exec.asynchronous ? 8 : 2;
   odometry_type both(backend.exec, rig(), params(), batch);
   std::int64_t time = 0;

@@ -146,7 +146,7 @@ TYPED_TEST(odometry_pipeline, a_batch_gives_what_its_cameras_give_alone) {
   TypeParam backend;
   auto const rig = test::room::rig();
   auto const frames = test::whole_effort() ? walk(rig, 0).size() : std::size_t{5};
-  // On a device, images of nine cameras are uploaded in two parts.
+  // On a device, images of nine cameras are uploaded in parts.
   unsigned const batch = TypeParam::exec_type::asynchronous ? 9 : 3;
   std::vector<std::vector<ft::tracking>> alone, together(batch);
   for (unsigned b = 0; b < 3; ++b) {

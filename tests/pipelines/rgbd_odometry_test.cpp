@@ -213,7 +213,7 @@ TYPED_TEST(rgbd_odometry, takes_depth_in_metres) {
 TYPED_TEST(rgbd_odometry, a_batch_gives_what_its_cameras_give_alone) {
   TypeParam backend;
   auto const rig = plain();
-  // On a device, images of eight cameras are uploaded in two parts.
+  // On a device, images of eight cameras are uploaded in parts.
   unsigned const batch = TypeParam::exec_type::asynchronous ? 8 : 2;
   std::vector<std::vector<ft::tracking>> together(batch);
   ft::odometry<typename TypeParam::exec_type, plain_rig> odo(backend.exec, rig, params(),

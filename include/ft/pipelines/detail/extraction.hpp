@@ -151,12 +151,13 @@ struct extraction {
 template <typename Exec>
 class image_parts {
 public:
-  /// @param rigs of the batch @param images of a rig
-  void make(int rigs, int images) {
+  /// @param rigs of the batch @param images of a rig @param recorded whether frames are; else a
+  ///   launch on a branch would not have the priority of the caller's stream
+  void make(int rigs, int images, bool recorded) {
     images_ = images;
     rigs_ = rigs;
     // Below eight rigs the launches of more parts cost what is gained; above eight parts little is.
-    int const count = Exec::asynchronous && rigs >= 8 ? min_of(rigs / 2, 8) : 1;
+    int const count = Exec::asynchronous && recorded && rigs >= 8 ? min_of(rigs / 2, 8) : 1;
     branches_ = std::vector<side_branch<Exec>>(static_cast<std::size_t>(count));
     for (auto& b : branches_) { b.make(); }
   }

@@ -244,7 +244,7 @@ public:
                 lists_local_early());
     point_frame_at_features();
     stereo_branch_.make();
-    parts_.make(batch, Rig::images);
+    parts_.make(batch, Rig::images, params.use_graphs);
     result_branch_.make();
   }
   /// The keypoints where they were found, or where the undistorted camera sees them.

@@ -78,6 +78,7 @@ inline tracker_params tracker_params_of(odometry_params const& p) {
   t.local_points = p.local_points;
   t.window_radius = p.window_radius;
   t.enough_matches = p.enough_matches;
+  t.use_graphs = p.use_graphs;
   t.overlap[0] = p.overlap[0];
   t.overlap[1] = p.overlap[1];
   return t;

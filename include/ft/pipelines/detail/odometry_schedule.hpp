@@ -6,7 +6,7 @@
 /// stage needs what the one before it has decided, but for the weighing of matches; what only the
 /// next frame needs of parts is on a branch again. The host waits for the outputs; what follows
 /// them is the map's. Without parts that launch there is no branch of theirs.
-/// How the images changed is found beside their keypoints.
+/// How the images changed is found beside their keypoints, of a batch in parts beside its searches.
 #pragma once
 
 #include "ft/containers/keypoints.hpp"

@@ -172,11 +172,15 @@ TEST(Health, SaysWhatWasSinceTheLastReport) {
   auto const doubted = counter.report();
   EXPECT_EQ(doubted.level, ft_ros2::health::warning);
   EXPECT_NE(doubted.message.find("blurred"), std::string::npos);
+  estimate lost;
+  lost.reason = "the image is dark";
   counter.take(good, 5);
-  counter.take({}, 5);
-  EXPECT_EQ(counter.report().message, "frames without a pose");
-  counter.take({}, 5);
-  EXPECT_EQ(counter.report().level, ft_ros2::health::error);
+  counter.take(lost, 5);
+  EXPECT_EQ(counter.report().message, "frames without a pose: the image is dark");
+  counter.take(lost, 5);
+  auto const none = counter.report();
+  EXPECT_EQ(none.level, ft_ros2::health::error);
+  EXPECT_EQ(none.message, "the camera is not tracked: the image is dark");
   counter.refuse("an image has another size");
   ft_ros2::health const refused = counter.report();
   EXPECT_EQ(refused.message, "an image has another size");
@@ -242,16 +246,17 @@ TEST(Images, ThatCannotBeAreRefused) {
 }
 
 TEST(CameraInfo, SaysThePair) {
-  std::array<double, 12> const left{435, 0, 367, 0, 0, 436, 252, 0, 0, 0, 1, 0};
-  std::array<double, 12> right = left;
-  right[3] = -435 * 0.11;
+  ft_ros2::projection_info const left{752, 480, {435, 0, 367, 0, 0, 436, 252, 0, 0, 0, 1, 0}};
+  ft_ros2::projection_info right = left;
+  right.P[3] = -435 * 0.11;
   auto const pair = ft_ros2::pair_of(752, 480, left, right);
   EXPECT_EQ(pair.fy, 436);
   EXPECT_NEAR(pair.baseline, 0.11, 1e-12);
   EXPECT_THROW(ft_ros2::pair_of(752, 480, left, left), std::runtime_error);   // no baseline
   EXPECT_THROW(ft_ros2::pair_of(752, 480, right, left), std::runtime_error);  // exchanged
-  EXPECT_THROW(ft_ros2::pair_of(752, 480, {}, right), std::runtime_error);    // not calibrated
-  right[2] += 5;
+  EXPECT_THROW(ft_ros2::pair_of(752, 480, {752, 480, {}}, right), std::runtime_error);
+  EXPECT_THROW(ft_ros2::pair_of(376, 240, left, right), std::runtime_error);  // binned images
+  right.P[2] += 5;
   EXPECT_THROW(ft_ros2::pair_of(752, 480, left, right), std::runtime_error);  // not rectified
 }
 

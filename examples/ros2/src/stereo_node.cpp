@@ -11,12 +11,14 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <diagnostic_msgs/msg/diagnostic_array.hpp>
 #include <exception>
 #include <functional>
 #include <geometry_msgs/msg/pose_stamped.hpp>
 #include <geometry_msgs/msg/transform_stamped.hpp>
 #include <image_transport/subscriber_filter.hpp>
+#include <limits>
 #include <memory>
 #include <nav_msgs/msg/odometry.hpp>
 #include <nav_msgs/msg/path.hpp>
@@ -28,6 +30,7 @@
 #include <sensor_msgs/msg/imu.hpp>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #if __has_include(<message_filters/synchronizer.hpp>)  // Jazzy and newer
@@ -52,6 +55,10 @@ using sensor_msgs::msg::Imu;
 
 std::int64_t nanoseconds(builtin_interfaces::msg::Time const& t) {
   return std::int64_t{1'000'000'000} * t.sec + t.nanosec;
+}
+
+projection_info info_of(CameraInfo const& m) {
+  return {static_cast<int>(m.width), static_cast<int>(m.height), m.p};
 }
 
 transform transform_of(geometry_msgs::msg::Transform const& m) {
@@ -106,7 +113,9 @@ private:
     settings_.features = static_cast<int>(declare_parameter("features", std::int64_t{1200}));
     settings_.threads = static_cast<int>(declare_parameter("threads", std::int64_t{0}));
     settings_.loops = declare_parameter("loops", false);
-    settings_.gpu = declare_parameter<std::string>("device", "host") == "cuda";
+    settings_.gpu = is_gpu(declare_parameter<std::string>("device", "host"));
+    max_apart_ns_ =
+        static_cast<std::int64_t>(1e9 * declare_parameter("max_time_difference", 0.005));
     use_imu_ = declare_parameter("use_imu", false);
     imu_.gyro_noise = declare_parameter("gyro_noise", imu_.gyro_noise);
     imu_.accel_noise = declare_parameter("accel_noise", imu_.accel_noise);
@@ -116,18 +125,41 @@ private:
   }
 
   void on_imu(Imu const& m) {
+    guarded([&] { add(m); });
+    if (left_ && imu_ns_ >= nanoseconds(left_->header.stamp)) { track_waiting(); }
+  }
+  void add(Imu const& m) {
     imu_id_ = m.header.frame_id;
+    imu_ns_ = nanoseconds(m.header.stamp);
     if (!tracker_) { return; }
     auto const& a = m.linear_acceleration;
     auto const& w = m.angular_velocity;
-    guarded([&] {
-      tracker_->add_imu(nanoseconds(m.header.stamp), {a.x, a.y, a.z}, {w.x, w.y, w.z});
-    });
+    tracker_->add_imu(imu_ns_, {a.x, a.y, a.z}, {w.x, w.y, w.z});
+  }
+  /// Samples that have come while a frame was tracked, which the executor hands over one at a time.
+  void add_arrived() {
+    Imu m;
+    rclcpp::MessageInfo info;
+    while (imu_in_ && imu_in_->take(m, info)) {
+      guarded([&] { add(m); });
+    }
   }
 
+  /// A frame waits for the samples up to its time, but not longer than until the next frame.
   void on_images(Image::ConstSharedPtr const& left, Image::ConstSharedPtr const& right) {
+    add_arrived();
+    if (left_) { track_waiting(); }
+    left_ = left;
+    right_ = right;
+    if (!use_imu_ || imu_ns_ >= nanoseconds(left->header.stamp)) { track_waiting(); }
+  }
+
+  void track_waiting() {
+    Image::ConstSharedPtr const left = std::exchange(left_, nullptr);
+    Image::ConstSharedPtr const right = std::exchange(right_, nullptr);
     guarded([&] {
-      if (!tracker_ && !begin(*left)) { return; }
+      require_one_time(nanoseconds(left->header.stamp), nanoseconds(right->header.stamp));
+      if (!tracker_) { begin(*left); }
       take(*left, left_grey_);
       take(*right, right_grey_);
       auto const begin = std::chrono::steady_clock::now();
@@ -142,25 +174,37 @@ private:
       if (!e.imu_warning.empty()) {
         RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 10000, "%s", e.imu_warning.c_str());
       }
+      if (e.begun_anew) {
+        path_.poses.clear();
+        warn("the times of frames went back: all begins anew");
+      }
       if (e.tracked) {
         publish(e, left->header.stamp);
       } else {
-        warn("the camera is not tracked");
+        warn(("the camera is not tracked: " + e.reason).c_str());
       }
     });
   }
 
-  /// Makes the tracker once all is known that it needs. @return whether there is one now
-  bool begin(Image const& left) {
-    if (!left_info_ || !right_info_ || (use_imu_ && imu_id_.empty())) {
-      char const* const why = "waiting for camera_info of both cameras, and for the IMU if used";
-      health_.refuse(why);
-      warn(why);
-      return false;
+  void require_one_time(std::int64_t left_ns, std::int64_t right_ns) const {
+    std::int64_t const apart = std::abs(left_ns - right_ns);
+    if (apart > max_apart_ns_) {
+      throw std::runtime_error(
+          "left and right are " + std::to_string(1e-9 * static_cast<double>(apart)) +
+          " s apart, more than max_time_difference: both are taken at one time");
     }
+  }
+
+  /// @throws std::runtime_error while something is not known that the tracker needs
+  void begin(Image const& left) {
+    std::string missing;
+    if (!left_info_) { missing += " left/camera_info"; }
+    if (!right_info_) { missing += " right/camera_info"; }
+    if (use_imu_ && imu_id_.empty()) { missing += " imu, with a frame_id"; }
+    if (!missing.empty()) { throw std::runtime_error("waiting for" + missing); }
     std::string const& camera = left.header.frame_id;
     settings_.pair = pair_of(static_cast<int>(left.width), static_cast<int>(left.height),
-                             left_info_->p, right_info_->p);
+                             info_of(*left_info_), info_of(*right_info_));
     settings_.T_base_camera = lookup(base_frame_, camera);
     if (use_imu_) {
       imu_.T_imu_camera = lookup(imu_id_, camera);
@@ -169,7 +213,6 @@ private:
     tracker_ = std::make_unique<tracker>(settings_);
     RCLCPP_INFO(get_logger(), "tracking %dx%d images, baseline %.4f m", settings_.pair.width,
                 settings_.pair.height, settings_.pair.baseline);
-    return true;
   }
 
   /// Points of `from` to `to`. @throws tf2::TransformException while tf does not know
@@ -180,7 +223,9 @@ private:
   void take(Image const& m, std::vector<std::uint8_t>& grey) const {
     if (static_cast<int>(m.width) != settings_.pair.width ||
         static_cast<int>(m.height) != settings_.pair.height) {
-      throw std::runtime_error("an image has another size than the first one");
+      throw std::runtime_error(
+          "an image is " + size_text(static_cast<int>(m.width), static_cast<int>(m.height)) +
+          ", the first one was " + size_text(settings_.pair.width, settings_.pair.height));
     }
     to_grey({m.data.data(), m.data.size(), settings_.pair.width, settings_.pair.height, m.step},
             m.encoding, grey);
@@ -272,7 +317,7 @@ private:
       }
       path_.poses.resize(kept);
     }
-    path_out_->publish(path_);
+    if (path_out_->get_subscription_count() > 0) { path_out_->publish(path_); }
   }
 
   /// What is wrong with a message is said, at most every two seconds.
@@ -294,9 +339,11 @@ private:
   std::size_t path_length_ = 0;
   imu_settings imu_;
   tracker_settings settings_;
+  std::int64_t max_apart_ns_ = 0, imu_ns_ = std::numeric_limits<std::int64_t>::min();
   std::unique_ptr<tracker> tracker_;
   health_counter health_;
   CameraInfo::ConstSharedPtr left_info_, right_info_;
+  Image::ConstSharedPtr left_, right_;  ///< wait for the IMU
   std::vector<std::uint8_t> left_grey_, right_grey_;
   nav_msgs::msg::Path path_;
 

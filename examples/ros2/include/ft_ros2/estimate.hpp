@@ -52,6 +52,8 @@ struct estimate {
   std::array<double, 36> covariance{};
   bool moving_known = false;  ///< the frame before was tracked, too, so there are velocities:
   std::array<double, 3> linear{}, angular{};  ///< mean since then, in the base's frame
+  std::string reason;                         ///< why the frame is not tracked; empty if it is
+  bool begun_anew = false;  ///< times went back: odom is where the base is in this frame
   int map_id = 0;           ///< of the map that the pose is in, from 1 on; 0 = none
   bool map_begun = false;   ///< the frame begins it
   std::string imu_state;    ///< initialising, known or used, and why not used; empty without an IMU

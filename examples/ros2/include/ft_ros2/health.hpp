@@ -26,6 +26,7 @@ public:
     tracked_ += e.tracked ? 1 : 0;
     maps_begun_ += e.map_begun ? 1 : 0;
     ms_ += ms;
+    if (!e.tracked) { reason_ = e.reason; }
     last_ = e;
     std::string text = e.warning;
     if (!e.imu_warning.empty()) { text += (text.empty() ? "" : "; ") + e.imu_warning; }
@@ -42,9 +43,9 @@ public:
     } else if (frames_ == 0) {
       h = {health::error, "no images", {}};
     } else if (tracked_ == 0) {
-      h = {health::error, "the camera is not tracked", {}};
+      h = {health::error, "the camera is not tracked: " + reason_, {}};
     } else if (tracked_ < frames_) {
-      h = {health::warning, "frames without a pose", {}};
+      h = {health::warning, "frames without a pose: " + reason_, {}};
     } else {
       h = {warning_.empty() ? health::ok : health::warning,
            warning_.empty() ? "tracking" : "poses may be wrong: " + warning_,
@@ -70,7 +71,7 @@ private:
   int frames_ = 0, tracked_ = 0, maps_begun_ = 0;
   double ms_ = 0;
   estimate last_;
-  std::string warning_, refused_;
+  std::string reason_, warning_, refused_;
 };
 
 }  // namespace ft_ros2

@@ -14,10 +14,30 @@
 
 namespace ft_ros2 {
 
-/// From the projection matrices P (3 x 4, row-major) of both CameraInfo.
-/// @throws std::runtime_error where these are not of a rectified pair
-inline rectified_pair pair_of(int width, int height, std::array<double, 12> const& left,
-                              std::array<double, 12> const& right) {
+/// What is taken of a sensor_msgs/CameraInfo: the size, pixels, of the images whose projection
+/// matrix P (3 x 4, row-major) is.
+struct projection_info {
+  int width = 0, height = 0;
+  std::array<double, 12> P{};
+};
+
+inline std::string size_text(int width, int height) {
+  return std::to_string(width) + "x" + std::to_string(height);
+}
+
+/// @param width,height of the images
+/// @throws std::runtime_error where these are not of a rectified pair of that size
+inline rectified_pair pair_of(int width, int height, projection_info const& left_info,
+                              projection_info const& right_info) {
+  for (projection_info const& info : {left_info, right_info}) {
+    if (info.width != width || info.height != height) {
+      throw std::runtime_error("CameraInfo is of " + size_text(info.width, info.height) +
+                               " images, these are " + size_text(width, height) +
+                               ": it must be that of the rectified images, without binning");
+    }
+  }
+  auto const& left = left_info.P;
+  auto const& right = right_info.P;
   rectified_pair p{width, height, left[0], left[5], left[2], left[6], 0};
   if (!(p.fx > 0 && p.fy > 0)) { throw std::runtime_error("the left CameraInfo has no P"); }
   for (std::size_t i : {0u, 5u, 2u, 6u}) {
@@ -52,8 +72,9 @@ inline pixel_layout layout_of(std::string const& encoding) {
   if (encoding == "bgr8" || encoding == "8UC3") { return {3, 2, 1, 0}; }
   if (encoding == "rgba8") { return {4, 0, 1, 2}; }
   if (encoding == "bgra8" || encoding == "8UC4") { return {4, 2, 1, 0}; }
-  throw std::runtime_error("images of encoding '" + encoding +
-                           "' are not taken: mono8, rgb8, bgr8, rgba8, bgra8 are");
+  throw std::runtime_error(
+      "images of encoding '" + encoding +
+      "' are not taken: mono8, rgb8, bgr8, rgba8, bgra8, 8UC1, 8UC3, 8UC4 are");
 }
 
 /// Grey without padding, by the weights of ITU-R BT.601. @param grey gets width * height bytes

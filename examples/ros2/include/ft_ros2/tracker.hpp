@@ -3,9 +3,13 @@
 /// robot out.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
+#include <optional>
+#include <stdexcept>
 #include <string>
+#include <utility>
 
 #include "ft/any_odometry.hpp"
 #include "ft/pipelines/explain.hpp"
@@ -15,6 +19,12 @@
 #include "ft_ros2/estimate.hpp"
 
 namespace ft_ros2 {
+
+/// @throws std::runtime_error for another name
+inline bool is_gpu(std::string const& device) {
+  if (device == "cuda" || device == "host") { return device == "cuda"; }
+  throw std::runtime_error("device is '" + device + "', must be host or cuda");
+}
 
 inline ft::odometry_params params_of(tracker_settings const& s) {
   auto const f = [](double v) { return static_cast<float>(v); };
@@ -49,8 +59,10 @@ public:
       : pair_(s.pair), base_(s.T_base_camera), loops_(s.loops), odometry_(odometry_of(s)) {}
 
   /// Waits for the pose. @param left,right grey, width x height bytes without padding
-  /// @param time_ns later than that of the frame before @throws std::runtime_error if it is not
+  /// @param time_ns later than that of the frame before, or a second before it or more, such as of
+  /// a bag that is played again: all begins anew @throws std::runtime_error if it is not
   estimate track(std::uint8_t const* left, std::uint8_t const* right, std::int64_t time_ns) {
+    follow_clock(time_ns, frame_ns_);
     int const w = pair_.width;
     int const h = pair_.height;
     ft::tracking const t = odometry_.track({{{left, w, h, w}, {right, w, h, w}}}, time_ns);
@@ -58,6 +70,8 @@ public:
     bool const guessed = t.map_begun && t.maps > 1;
     estimate e;
     e.tracked = t.state == ft::tracking_state::tracking && !guessed;
+    e.begun_anew = std::exchange(begun_anew_, false);
+    if (!e.tracked) { e.reason = ft::explain(t, odometry_.params().rules).text; }
     e.keyframe = t.keyframe;
     e.inliers = t.inliers;
     e.map_points = t.map_points;
@@ -86,6 +100,7 @@ public:
   /// Specific force and angular rate, before the first frame that is later.
   void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
                std::array<double, 3> const& gyro) {
+    follow_clock(time_ns, sample_ns_);
     auto const narrowed = [](std::array<double, 3> const& v) {
       return ft::vec3<double>{v[0], v[1], v[2]}.cast<float>();
     };
@@ -93,9 +108,22 @@ public:
   }
 
 private:
+  /// Forgets all where times go back by a second or more. @param last the time before, of its kind
+  void follow_clock(std::int64_t time_ns, std::optional<std::int64_t>& last) {
+    if (last && time_ns <= *last - 1'000'000'000) {
+      odometry_.reset();
+      base_.skip();
+      frame_ns_.reset();
+      sample_ns_.reset();
+      begun_anew_ = true;
+    }
+    last = std::max(time_ns, last.value_or(time_ns));
+  }
+
   rectified_pair pair_;
   base_frame base_;
-  bool loops_ = false;
+  bool loops_ = false, begun_anew_ = false;
+  std::optional<std::int64_t> frame_ns_, sample_ns_;  ///< the newest
   ft::any_odometry odometry_;
 };
 

@@ -118,11 +118,12 @@ def _times(values: ArrayLike) -> NDArray[np.int64]:
 
 @dataclass
 class Trajectory:
-    """Times (n), int nanoseconds, and poses (n, 4, 4): T_world_camera; n may be 0. Raises ValueError for other shapes and
-    types."""
+    """Times (n), int nanoseconds, and poses (n, 4, 4): T_world_camera; n may be 0. has_orientation: whether rotations are
+    known, not those of positions alone. Raises ValueError for other shapes and types."""
 
     time_ns: NDArray[np.int64]
     poses: NDArray[np.float64]
+    has_orientation: bool = True
 
     def __post_init__(self) -> None:
         self.time_ns = _times(self.time_ns)
@@ -202,8 +203,8 @@ class Sequence:
             self.warnings = [*recording.warnings, *map(recording.named, self.warnings)]
         self.has_body_frame = files.has_body_frame
         self.masked = files.masked
-        self.ground_truth = Trajectory(*files.ground_truth)
         self.ground_truth_has_orientation = files.ground_truth_has_orientation
+        self.ground_truth = Trajectory(*files.ground_truth, has_orientation=files.ground_truth_has_orientation)
         samples = cast(Optional[_FileImu], files.imu)
         self.imu: Optional[Imu] = None
         self.imu_samples: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
@@ -297,15 +298,15 @@ def read_tum(file: Path) -> Trajectory:
 
 
 def evaluate(poses: Union[Trajectory, Iterable[tuple[int, ArrayLike]]],
-             truth: Union[Trajectory, Iterable[tuple[int, ArrayLike]], None], *, orientation: bool = True,
+             truth: Union[Trajectory, Iterable[tuple[int, ArrayLike]], None], *, orientation: Optional[bool] = None,
              interval_s: float = 1.0) -> Errors:
     """Errors of a trajectory: ate_m after alignment, rpe_m over interval_s, and their rotations ate_deg, rpe_deg; None
     where there is too little. ate_rotation_missing: a str, why ate_deg is None though orientations are known, such as an
     alignment that the path does not determine; else None. scale: what lengths of the poses times it would fit the ground truth
-    best, not applied; far from 1 the unit of a baseline or of depths is another one; None where the shapes differ. orientation: whether the ground truth has orientations. Raises
-    ValueError without a ground truth."""
+    best, not applied; far from 1 the unit of a baseline or of depths is another one; None where the shapes differ. orientation:
+    whether the ground truth has orientations; default: its has_orientation. Raises ValueError without a ground truth."""
     if truth is None:
         raise ValueError("the ground truth is None: errors need one, and not every sequence has one")
     a, b = Trajectory.of(poses), Trajectory.of(truth)
-    return cast(Errors, _ft.evaluate_arrays(a.time_ns, _matrix(a.poses), b.time_ns, _matrix(b.poses), bool(orientation),
-                                            interval_s))
+    return cast(Errors, _ft.evaluate_arrays(a.time_ns, _matrix(a.poses), b.time_ns, _matrix(b.poses),
+                                            b.has_orientation if orientation is None else bool(orientation), interval_s))

@@ -93,6 +93,24 @@ def test_a_sequence_is_tracked(folder):
     assert ft.evaluate([(t, np.eye(4)) for t, _ in poses], truth)["scale"] is None
 
 
+def test_a_ground_truth_of_positions_alone_has_no_rotation_errors(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "kitti")
+    turned = np.eye(4)
+    turned[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]  # east, north, up
+    poses, rows = [], []
+    for i in range(12):
+        T = np.eye(4)
+        T[:2, 3] = Walk().position(i)
+        poses.append((50_000_000 * i, T))
+        rows.append(f"{0.05 * i:.9f} " + " ".join(f"{v:.9f}" for v in (turned @ T)[:3, 3]) + " 0 0 0 1\n")
+    (tmp_path / "kitti" / "groundtruth.txt").write_text("".join(rows))
+    truth = ft.read_sequence(tmp_path / "kitti").ground_truth
+    assert not truth.has_orientation and ft.Trajectory.of(poses).has_orientation
+    errors = ft.evaluate(poses, truth)
+    assert errors["ate_m"] < 1e-6 and errors["ate_deg"] is None and errors["rpe_deg"] is None
+    assert ft.evaluate(poses, truth, orientation=True)["ate_deg"] is not None
+
+
 def test_a_rotation_error_that_is_missing_has_its_reason():
     random = np.random.default_rng(2)
 

@@ -101,7 +101,8 @@ class ImuJoiner:
 class OpenCvCamera:
     """One camera that OpenCV opens: a number, or the file or address of a video. parameters: fx, fy, cx, cy, pixels, and 4, 5
     or 8 of OpenCV's coefficients of distortion, whose images are undistorted; with fisheye k1 to k4 of its fisheye model.
-    OpenCV tells no times of a camera's images: theirs are those of the computer, when they arrived."""
+    Times of a camera's images are those of its driver, where that has the computer's monotonic clock (V4L2), else when they
+    arrived."""
 
     rig: LiveRig
     imu: Optional[Imu] = None
@@ -145,15 +146,20 @@ class OpenCvCamera:
                                                          (self.width, self.height), cv2.CV_16SC2)
 
     def _next(self) -> Optional[tuple[int, Grey]]:
-        """The next image and its time; None at the end."""
-        if not self._video.grab():
-            return None
-        arrived = time.monotonic_ns()
-        good, image = self._video.retrieve()
-        if not good:
-            return None
-        if not self.live:
-            arrived = round(1e6 * self._video.get(self._cv2.CAP_PROP_POS_MSEC))
+        """The next image and its time; None at the end. Images of a camera that cannot be decoded are left out."""
+        begin = time.monotonic()
+        while True:
+            if not self._video.grab():
+                return None
+            arrived = time.monotonic_ns()
+            good, image = self._video.retrieve()
+            if good:
+                break
+            if not self.live or time.monotonic() - begin > PATIENCE_S:
+                return None
+        said = round(1e6 * self._video.get(self._cv2.CAP_PROP_POS_MSEC))
+        if not self.live or 0 <= arrived - said < 1e9 * PATIENCE_S:
+            arrived = said
         grey = image if image.ndim == 2 else self._cv2.cvtColor(image, self._cv2.COLOR_BGR2GRAY)
         return arrived, np.asarray(grey, np.uint8)
 
@@ -162,6 +168,9 @@ class OpenCvCamera:
         while found is not None and not stopped():
             time_ns, image = found
             given += 1
+            if image.shape != (self.height, self.width):
+                raise RuntimeError(f"{self.name}: an image is {image.shape[1]}x{image.shape[0]}, the first one was "
+                                   f"{self.width}x{self.height}")
             if time_ns > last_ns:
                 last_ns = time_ns
                 taken += 1

@@ -7,6 +7,7 @@ import inspect
 import subprocess
 import sys
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -436,6 +437,55 @@ def test_the_program_tracks_what_opencv_opens(video, tmp_path):
     few = subprocess.run([sys.executable, "-m", "ft", "live", "--camera", video, "--parameters", *k, "--backend", "host",
                           "--frames", "2", "--out", tmp_path / "few"], capture_output=True, text=True)
     assert few.returncode == 1 and few.stdout.endswith("2 frames, 0 tracked, 0 left out\n")
+
+
+class FakeCapture:
+    """Of cv2.VideoCapture, a camera: of each frame whether it can be decoded, its size, and what CAP_PROP_POS_MSEC is."""
+
+    def __init__(self, frames, position):
+        self.frames, self.position = [None, *frames], position
+
+    def isOpened(self):
+        return True
+
+    def grab(self):
+        self.frames.pop(0)
+        return bool(self.frames)
+
+    def retrieve(self):
+        good, size = self.frames[0]
+        return good, np.zeros((*size, 3), np.uint8) if good else None
+
+    def get(self, _):
+        return self.position()
+
+    def release(self):
+        pass
+
+
+def webcam(monkeypatch, frames, position):
+    cv2 = pytest.importorskip("cv2")
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: FakeCapture(frames, position))
+    return live_cameras.OpenCvCamera("0", CAMERA)
+
+
+@pytest.mark.parametrize("age_ms, taken_ms", [(30, 30), (-3600e3, 0), (3600e3, 0)])
+def test_times_are_those_of_a_driver_with_the_same_clock(monkeypatch, age_ms, taken_ms):
+    source = webcam(monkeypatch, 3 * [(True, (48, 64))], lambda: 1e-6 * time.monotonic_ns() - age_ms)
+    before = time.monotonic_ns()
+    frames = source.frames()
+    next(frames)
+    assert -2e6 < next(frames).time_ns - before + 1e6 * taken_ms < 1e9
+
+
+def test_broken_images_of_a_camera_are_left_out_and_those_of_another_size_refused(monkeypatch):
+    good, broken, other = (True, (48, 64)), (False, (0, 0)), (True, (24, 32))
+    source = webcam(monkeypatch, [broken, good, broken, broken, good, other], lambda: 0.0)
+    taken = []
+    with pytest.raises(RuntimeError, match="camera 0: an image is 32x24, the first one was 64x48"):
+        for frame in source.frames():
+            taken.append(frame)
+    assert len(taken) == 2
 
 
 def test_distorted_images_are_undistorted(video, walk):

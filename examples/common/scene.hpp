@@ -100,10 +100,10 @@ public:
   /// Of a second pair of the same cameras that moves with the first one.
   image_pair render(int frame, mounting const& other) const {
     camera left = at(frame);
-    for (int k = 0; k < 3; ++k) { left.centre[k] += rotated(left.yaw, other.centre)[k]; }
+    for (std::size_t k = 0; k < 3; ++k) { left.centre[k] += rotated(left.yaw, other.centre)[k]; }
     left.yaw += other.turn;
     camera right = left;
-    for (int k = 0; k < 3; ++k) {
+    for (std::size_t k = 0; k < 3; ++k) {
       right.centre[k] += rotated(left.yaw, {static_cast<double>(baseline()), 0, 0})[k];
     }
     return {image_of(left), image_of(right)};

@@ -510,20 +510,6 @@ nb::bytes bytes_of(ft::map_snapshot const& snapshot) {
   return nb::bytes(bytes.data(), bytes.size());
 }
 
-char const* name_of(ft::tracking_state s) {
-  switch (s) {
-    case ft::tracking_state::initialising:
-      return "initialising";
-    case ft::tracking_state::tracking:
-      return "tracking";
-    case ft::tracking_state::recovering:
-      return "recovering";
-    case ft::tracking_state::lost:
-      break;
-  }
-  return "lost";
-}
-
 /// Numbers of the bits that are set.
 std::vector<int> bits_of(std::uint32_t set) {
   std::vector<int> all;
@@ -557,7 +543,7 @@ void bind_tracking(nb::module_& m) {
           "loops_closed", [](tracking const& t) { return t.of.loops_closed; },
           "loops whose correction enters with this frame")
       .def_prop_ro(
-          "state", [](tracking const& t) { return name_of(t.of.state); },
+          "state", [](tracking const& t) { return ft::name_of(t.of.state); },
           "initialising, tracking, recovering or lost")
       .def_prop_ro("tracked",
                    [](tracking const& t) { return t.of.state == ft::tracking_state::tracking; })
@@ -741,7 +727,7 @@ void bind_tracking(nb::module_& m) {
         ft::vec3<double> const& at = t.of.T_world_camera.t;
         std::string const reason = reason_of(t);
         std::string const why = reason.empty() ? "" : " (" + reason + ")";
-        return std::string("<ft.Tracking ") + name_of(t.of.state) + why + ", " +
+        return std::string("<ft.Tracking ") + ft::name_of(t.of.state) + why + ", " +
                std::to_string(t.of.inliers) + " inliers, at " + std::to_string(at.x) + " " +
                std::to_string(at.y) + " " + std::to_string(at.z) + (t.of.metric ? " m>" : ">");
       });

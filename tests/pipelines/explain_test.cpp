@@ -245,4 +245,12 @@ TEST(explain_names, each_reason_has_its_own) {
   EXPECT_STREQ(ft::name_of(static_cast<reason>(-1)), "unknown");
 }
 
+TEST(explain_names, each_state_has_its_own) {
+  std::set<std::string> names;
+  for (int i = 0; i < 4; ++i) { names.insert(ft::name_of(static_cast<ft::tracking_state>(i))); }
+  EXPECT_EQ(names.size(), 4u);
+  EXPECT_STREQ(ft::name_of(ft::tracking_state::lost), "lost");
+  EXPECT_STREQ(ft::name_of(static_cast<ft::tracking_state>(4)), "unknown");
+}
+
 }  // namespace explain_test

@@ -38,6 +38,13 @@ enum class tracking_reason : int {
   few_matches,          ///< too few keypoints agree with the map, wherever it was tried
 };
 
+/// The state as a word, such as "recovering".
+inline char const* name_of(tracking_state state) {
+  constexpr char const* names[] = {"initialising", "tracking", "recovering", "lost"};
+  int const i = static_cast<int>(state);
+  return i >= 0 && i <= static_cast<int>(tracking_state::lost) ? names[i] : "unknown";
+}
+
 /// The reason as a word, such as "stereo_inconsistent".
 inline char const* name_of(tracking_reason reason) {
   constexpr char const* names[] = {"none",

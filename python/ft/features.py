@@ -224,7 +224,7 @@ class OrbExtractor:
         self._scale_factor = scale_factor
         options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, corner_ratio, mask_size,
                            std_sort, threads)
-        self._pipeline = _ft.FeaturePipeline(options, batch, None, device)
+        self._pipeline = _ft.FeaturePipeline(options, batch, None, str(device))
         self.batch = int(batch)
 
     @overload
@@ -258,7 +258,7 @@ class StereoMatcher:
         self._scale_factor = scale_factor
         options = _options(width, height, features, levels, scale_factor, ini_threshold, min_threshold, corner_ratio, mask_size,
                            std_sort, threads)
-        self._pipeline = _ft.FeaturePipeline(options, 2 * batch, rig, device)
+        self._pipeline = _ft.FeaturePipeline(options, 2 * batch, rig, str(device))
         self.batch = int(batch)
 
     @overload

@@ -65,7 +65,9 @@ class Odometry:
         self._doubts_depth = True
         self._mask_size, self._masked = _two(mask_size, "mask_size"), set[tuple[int, int]]()
         self._descriptors = descriptors
-        self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, device)
+        if not isinstance(imu, (Imu, type(None))):
+            raise ValueError(f"imu is a {type(imu).__name__}, must be an ft.Imu, or None")
+        self._pipeline = _ft.OdometryPipeline(rig, all_options, imu, str(device))
         for found in check_calibration(rig, width, height):
             warnings.warn(f"{found.name}: {found.text}", stacklevel=2)
 
@@ -110,6 +112,8 @@ class Odometry:
                 raise ValueError("track() has no arguments, needs images and time_ns")
             time_ns, images = images[-1], images[:-1]
         single = self._pipeline.batch == 1 and not (images and isinstance(images[0], (list, tuple)))
+        if isinstance(images[0] if images else None, (list, tuple)) and isinstance(time_ns, int):
+            raise ValueError(f"time_ns is {time_ns}, must be a list as the images are; one image is a NumPy array, or has __dlpack__")
         frames = [list(images)] if single else _frames(cast(Sequence[Sequence[Optional[Array]]], images))
         times = [time_ns] if single else time_ns
         tracked = self._pipeline.track(frames, times, handle_of(stream))
@@ -178,6 +182,8 @@ class Odometry:
     def set_masks(self, masks: Sequence[Optional[Array]], b: int = 0) -> None:
         """Those of the cameras in turn, as set_mask: left and right of a pair, of a MultiRig one of each camera. None = all of the
         image is used. For masks of single frames call it before each track(). Needs mask_size."""
+        if getattr(masks, "ndim", 1) == 2:
+            raise ValueError("masks is one array, must be a list with a mask of each camera, or None")
         for camera, mask in enumerate(masks):
             place = (2 * camera if isinstance(self.rig, MultiRig) else camera, b)
             if mask is not None:

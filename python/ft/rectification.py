@@ -28,7 +28,7 @@ class Rectifier:
                  device: str = "auto") -> None:
         if rig.readout_s > 0:
             raise ValueError("readout_s is above 0: rectified images have other rows; an Odometry takes the DistortedPair itself")
-        self._pipeline = _ft.RectificationPipeline(rig, width, height, border, threads, device)
+        self._pipeline = _ft.RectificationPipeline(rig, width, height, border, threads, str(device))
         self.rig = RectifiedPair(rig.wanted, self._pipeline.baseline)  # that of the rectified images
 
     def rectify(self, left: Array, right: Array, out: Optional[tuple[Array, Array]] = None,

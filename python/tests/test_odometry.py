@@ -288,6 +288,19 @@ def test_mistakes_are_named_and_change_nothing(walk):
     assert odometry.track(*walk.frame(1)).tracked
 
 
+@pytest.mark.parametrize("do, message", [
+    (lambda rig: ft.Odometry(rig, WIDTH, HEIGHT, imu=True), "imu is a bool, must be an ft.Imu, or None"),
+    (lambda rig: ft.Odometry(rig, WIDTH, HEIGHT, device=None), "device is 'None', must be auto, host or cuda"),
+    (lambda rig: ft.OrbExtractor(WIDTH, HEIGHT, device=0), "device is '0', must be auto, host or cuda"),
+    (lambda rig: ft.Odometry(rig, WIDTH, HEIGHT, device="host").track([[1, 2]], [[1, 2]], 5), "time_ns is 5, must be a list"),
+    (lambda rig: ft.Odometry(rig, WIDTH, HEIGHT, device="host", mask_size=(WIDTH, HEIGHT)).set_masks(np.zeros((HEIGHT, WIDTH), np.uint8)),
+     "masks is one array, must be a list"),
+])
+def test_arguments_of_another_kind_are_named_with_what_is_taken(do, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        do(ft.RectifiedPair(CAMERA, BASELINE))
+
+
 @pytest.mark.parametrize("make", [
     lambda: ft.Odometry(ft.RectifiedPair(CAMERA, -1.0), WIDTH, HEIGHT),
     lambda: ft.Odometry(ft.RectifiedPair((0, 1, 2, 3), 0.1), WIDTH, HEIGHT),

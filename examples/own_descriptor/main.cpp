@@ -69,7 +69,8 @@ int main() {
     ft::orb_extractor<exec_type> orb(exec, demo::params_for(pair.left), 2);
     int const capacity = orb.capacity();
     ft::buffer<std::uint8_t, space> const pixels(pair.left.pixels.size());
-    ft::buffer<patch_bits, space> const left(orb.capacity()), right(orb.capacity());
+    auto const rows = static_cast<std::size_t>(orb.capacity());
+    ft::buffer<patch_bits, space> const left(rows), right(rows);
     auto const describe = [&](int camera, demo::grey_image const& image, patch_bits* out) {
       ft::copy(exec, pixels.data(), image.pixels.data(), image.pixels.size());
       ft::gray_view const there{pixels.data(), image.width, image.height, image.width};
@@ -85,7 +86,7 @@ int main() {
     using workspace = ft::match_workspace<int>;
     ft::owner<workspace, space> const work(
         [&](ft::carver& c, workspace& v) { carve(c, v, capacity, capacity); });
-    ft::buffer<ft::descriptor_match<int>, space> const matches(capacity);
+    ft::buffer<ft::descriptor_match<int>, space> const matches(rows);
     ft::descriptor_rows<patch_bits> const query{left.data(), capacity,
                                                 orb.keypoints().slice(0).count};
     ft::descriptor_rows<patch_bits> const train{right.data(), capacity,

@@ -320,7 +320,10 @@ class Oak:
         self.warnings: list[str] = []
         self.width, self.height = size
         self._fps = fps
-        self._pipeline = dai.Pipeline()
+        try:
+            self._pipeline = dai.Pipeline()
+        except RuntimeError as e:
+            raise RuntimeError(f"{self.name}: {e}") from None
         try:
             self._build(size, fps, imu)
         except BaseException:

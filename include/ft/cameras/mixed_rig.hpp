@@ -143,7 +143,8 @@ template <int N>
 void pair_up(mixed_rig<N>& rig, int left, int right) {
   detail::require_range("left camera", left, 0, N - 1);
   detail::require_range("right camera", right, 0, N - 1);
-  detail::require(left != right, "the right camera of a pair is its left one, must be another camera");
+  detail::require(left != right,
+                  "the right camera of a pair is its left one, must be another camera");
   rig.of[left].right = right;
   rig.of[right].left = left;
   rig.of[left].baseline = mixed_rig_camera::distance(rig.of[left], rig.of[right]);

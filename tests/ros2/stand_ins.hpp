@@ -121,6 +121,8 @@ struct DiagnosticArray {
 struct rmw_qos_profile_t {};
 constexpr rmw_qos_profile_t rmw_qos_profile_sensor_data{};
 
+enum rcl_clock_type_t { RCL_STEADY_TIME };
+
 namespace rclcpp {
 struct QoS {
   explicit QoS(std::size_t wanted) : depth(wanted) {}
@@ -134,7 +136,9 @@ struct SensorDataQoS : QoS {
   SensorDataQoS() : QoS(5) {}
 };
 struct MessageInfo {};
-struct Clock {};
+struct Clock {
+  explicit Clock(rcl_clock_type_t) {}
+};
 using Logger = std::vector<std::string>*;  ///< gets the warnings
 
 struct NodeOptions {
@@ -209,7 +213,7 @@ public:
     timer_->callback = std::move(callback);
     return timer_;
   }
-  std::shared_ptr<Clock> get_clock() const { return std::make_shared<Clock>(); }
+  std::shared_ptr<Clock> get_clock() const { return std::make_shared<Clock>(RCL_STEADY_TIME); }
   Logger get_logger() { return &said; }
   builtin_interfaces::msg::Time now() const { return {}; }
   char const* get_fully_qualified_name() const { return name_.c_str(); }

@@ -169,10 +169,10 @@ private:
           e, std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin)
                  .count());
       if (!e.warning.empty()) {
-        RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 10000, "%s", e.warning.c_str());
+        RCLCPP_WARN_THROTTLE(get_logger(), steady_, 10000, "%s", e.warning.c_str());
       }
       if (!e.imu_warning.empty()) {
-        RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 10000, "%s", e.imu_warning.c_str());
+        RCLCPP_WARN_THROTTLE(get_logger(), steady_, 10000, "%s", e.imu_warning.c_str());
       }
       if (e.begun_anew) {
         path_.poses.clear();
@@ -330,10 +330,9 @@ private:
       warn(e.what());
     }
   }
-  void warn(char const* text) {
-    RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 2000, "%s", text);
-  }
+  void warn(char const* text) { RCLCPP_WARN_THROTTLE(get_logger(), steady_, 2000, "%s", text); }
 
+  rclcpp::Clock steady_{RCL_STEADY_TIME};  ///< of what is logged: that of a bag may go back
   std::string map_frame_, odom_frame_, base_frame_, imu_id_;
   bool publish_tf_ = true, use_imu_ = false;
   std::size_t path_length_ = 0;

@@ -135,6 +135,9 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--parameters", type=float, nargs="+", default=(), metavar="P",
                          help="of OpenCV's camera: fx fy cx cy, pixels, then 0, 4, 5 or 8 of k1 k2 p1 p2 k3 k4 k5 k6")
     command.add_argument("--fisheye", action="store_true", help="the parameters are fx fy cx cy k1 k2 k3 k4 of Kannala and Brandt")
+    command.add_argument("--readout", type=number(0, 100), default=0.0, metavar="MS",
+                         help="of OpenCV's camera: from the first row of an image to the last one; most webcams and phones have "
+                              "rolling shutters; 0 (the default) = a global shutter")
     command.add_argument("--size", metavar="WxH", help="of the images; default: the camera's, or 848x480 and 640x400")
     command.add_argument("--fps", type=number(1, 1000), help="images a second; default: the camera's, or 30 and 20")
     command.add_argument("--imu", default="auto", choices=["auto", "off"], help="auto (the default): used if the camera has one")

@@ -36,15 +36,15 @@ def open_source(a: argparse.Namespace) -> Source:
             raise ValueError(f"--size: is {a.size}, must be WxH, such as 640x480") from None
         size = width, height
     if a.camera in ("realsense", "oak"):
-        if a.parameters or a.fisheye:
-            raise ValueError(f"--camera {a.camera}: its calibration is the device's: no --parameters, no --fisheye")
+        if a.parameters or a.fisheye or a.readout:
+            raise ValueError(f"--camera {a.camera}: its calibration is the device's: no --parameters, --fisheye or --readout")
         device = RealSense if a.camera == "realsense" else Oak
         given = {"size": size, "fps": a.fps and round(a.fps)}
         return device(imu=a.imu == "auto", **{k: v for k, v in given.items() if v is not None})
     if not a.parameters:
         raise ValueError(f"--camera {a.camera}: needs --parameters fx fy cx cy [k1 k2 p1 p2 ...], pixels: calibrate it with OpenCV or "
                          "Kalibr")
-    return OpenCvCamera(a.camera, a.parameters, fisheye=a.fisheye, size=size, fps=a.fps)
+    return OpenCvCamera(a.camera, a.parameters, fisheye=a.fisheye, size=size, fps=a.fps, readout_s=1e-3 * a.readout)
 
 
 class Newest:

@@ -101,6 +101,7 @@ class ImuJoiner:
 class OpenCvCamera:
     """One camera that OpenCV opens: a number, or the file or address of a video. parameters: fx, fy, cx, cy, pixels, and 4, 5
     or 8 of OpenCV's coefficients of distortion, whose images are undistorted; with fisheye k1 to k4 of its fisheye model.
+    readout_s: of a rolling shutter, from the first row to the last one, seconds, 0 to 0.1.
     Times of a camera's images are those of its driver, where that has the computer's monotonic clock (V4L2), else when they
     arrived."""
 
@@ -108,7 +109,7 @@ class OpenCvCamera:
     imu: Optional[Imu] = None
 
     def __init__(self, camera: str, parameters: Sequence[float], *, fisheye: bool = False,
-                 size: Optional[tuple[int, int]] = None, fps: Optional[float] = None) -> None:
+                 size: Optional[tuple[int, int]] = None, fps: Optional[float] = None, readout_s: float = 0.0) -> None:
         try:
             import cv2
         except ImportError:
@@ -138,9 +139,9 @@ class OpenCvCamera:
         self._maps: Optional[tuple[Any, Any]] = None
         K = np.array([[parameters[0], 0, parameters[2]], [0, parameters[1], parameters[3]], [0, 0, 1]])
         if fisheye:
-            self.rig = MonocularCamera(_ft.KannalaBrandt(list(parameters)))
+            self.rig = MonocularCamera(_ft.KannalaBrandt(list(parameters)), readout_s)
         else:
-            self.rig = MonocularCamera(_ft.Pinhole(list(parameters[:4])))
+            self.rig = MonocularCamera(_ft.Pinhole(list(parameters[:4])), readout_s)
             if len(parameters) > 4:
                 self._maps = cv2.initUndistortRectifyMap(K, np.array(parameters[4:], np.float64), None, K,
                                                          (self.width, self.height), cv2.CV_16SC2)

@@ -491,7 +491,8 @@ def test_broken_images_of_a_camera_are_left_out_and_those_of_another_size_refuse
 def test_distorted_images_are_undistorted(video, walk):
     cv2 = pytest.importorskip("cv2")
     d = [-0.2, 0.05, 0.001, -0.001]
-    source = live.open_source(options("--camera", str(video), "--parameters", *(str(v) for v in [*CAMERA, *d])))
+    source = live.open_source(options("--camera", str(video), "--readout", "20", "--parameters", *(str(v) for v in [*CAMERA, *d])))
+    assert source.rig.readout_s == pytest.approx(0.02)
     K = np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]])
     wanted = cv2.undistort(walk.frame(0)[0], K, np.array(d))
     image = next(source.frames()).images[0]
@@ -514,6 +515,7 @@ def test_a_folder_that_cannot_be_made_is_named_and_the_camera_closed(video, tmp_
     (["--camera", "0", "--fisheye", "--parameters", "1", "2", "3", "4"], "4 numbers, must be 8"),
     (["--camera", "none.mp4", "--parameters", "1", "2", "3", "4"], "none.mp4: OpenCV cannot open it"),
     (["--camera", "oak", "--fisheye"], "its calibration is the device's"),
+    (["--camera", "realsense", "--readout", "20"], "no --parameters, --fisheye or --readout"),
     (["--camera", "oak", "--size", "big"], "is big, must be WxH"),
     (["--camera", "oak", "--size", "0x400"], "is 0x400, must be WxH"),
 ])

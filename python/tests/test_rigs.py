@@ -117,7 +117,7 @@ def test_a_pair_of_two_cameras_of_different_models(walk):
     for i in range(5):
         pose = odometry.track(*walk.frame(i))
         assert pose.tracked and np.allclose(pose.T_world_camera[:2, 3], walk.position(i), atol=0.01)
-    for right, text in ((2, "right camera of camera 0 is 2, must be below 2"), (-1, "right is -1, must be in"), (0, "two cameras")):
+    for right, text in ((2, "right camera of camera 0 is 2, must be below 2"), (-1, "right is -1, must be in"), (0, "must be another camera")):
         rig.cameras[0].right = right
         with pytest.raises(ValueError, match=text):
             odometry_of(rig)

@@ -2,13 +2,11 @@
 /// @file Pipeline: stereo odometry. Images in, poses out.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <istream>
 #include <memory>
 #include <ostream>
-#include <type_traits>
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
@@ -18,7 +16,6 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/stage_clock.hpp"
-#include "ft/pipelines/detail/map_origin.hpp"
 #include "ft/pipelines/detail/mixed_parts.hpp"
 #include "ft/pipelines/detail/monocular_parts.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
@@ -91,7 +88,7 @@ public:
   template <typename... Plugged>
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params, int batch,
            Plugged const&... plugged)
-      : engine_(made_with(exec, rig, params, batch, plugged...)) {}
+      : engine_(engine::made(exec, rig, params, batch, plugged...)) {}
   odometry(Exec const& exec, Rig const& rig, odometry_params const& params)
       : odometry(exec, rig, params, 1) {}
 
@@ -188,8 +185,7 @@ public:
   /// @throws bad_argument for a pose that is not finite or not a rotation, or for a pair that does
   ///   not exist
   void predict(rigid<double> const& T_world_camera, int b = 0) {
-    engine& p = made();
-    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    engine& p = made(b);
     detail::require_motion(T_world_camera);
     odometry_input& in = p.stages.own.inputs[b];
     tracking const& last = p.results[static_cast<std::size_t>(b)];
@@ -208,7 +204,7 @@ public:
   void add_imu(imu_measurement const& sample, int b = 0) {
     engine& p = made();
     detail::require(p.given.imu.present, "the odometry was made without an IMU");
-    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    p.require_pair(b);
     for (auto const& part : p.stages.plugged) {
       if (detail::sample_queue* const to = part->samples(b)) { to->add(sample); }
     }
@@ -216,8 +212,7 @@ public:
   /// Camera pair b begins anew with its next frame: no map, no motion, any time stamp.
   /// @throws bad_argument for a pair that does not exist
   void reset(int b = 0) {
-    engine& p = made();
-    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    engine& p = made(b);
     auto const i = static_cast<std::size_t>(b);
     p.stages.own.inputs[b].reset = 1;
     p.stages.own.inputs[b].predicted = 0;
@@ -243,10 +238,7 @@ public:
   }
 
   /// What the last track() returned for camera pair b.
-  tracking const& last(int b = 0) const {
-    detail::require_range("camera pair", b, 0, made().stages.batch - 1);
-    return made().results[static_cast<std::size_t>(b)];
-  }
+  tracking const& last(int b = 0) const { return made(b).results[static_cast<std::size_t>(b)]; }
   /// Keypoints of the last frame, in host memory, valid until the next track(). Those of a keyframe
   /// hold its new map points, too. The visibility of local map points is not reported. Waits for
   /// the end of the frame. @throws cuda_error
@@ -264,8 +256,7 @@ public:
   /// Waits, and allocates. Empty if there is none.
   /// @throws bad_argument for a pair that does not exist; std::bad_alloc, cuda_error
   odometry_map download_map(int b = 0) const {
-    engine const& p = made();
-    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
+    engine const& p = made(b);
     if (p.results[static_cast<std::size_t>(b)].state == tracking_state::initialising) { return {}; }
     return detail::download_odometry_map(p.exec, p.stages.own.map, b);
   }
@@ -273,40 +264,21 @@ public:
   /// without ft::loops. Allocates. @throws bad_argument for a pair that does not exist;
   /// std::bad_alloc
   std::vector<placed_keyframe> placed_keyframes(int b = 0) const {
-    engine const& p = made();
-    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     std::vector<placed_keyframe> all;
-    for (auto const& part : p.stages.plugged) { part->list_placed(all); }
+    for (auto const& part : made(b).stages.plugged) { part->list_placed(all); }
     return all;
   }
   /// The loops between them, in the order in which they were closed. Likewise.
   std::vector<closed_loop> closed_loops(int b = 0) const {
-    engine const& p = made();
-    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
     std::vector<closed_loop> all;
-    for (auto const& part : p.stages.plugged) { part->list_closed(all); }
+    for (auto const& part : made(b).stages.plugged) { part->list_closed(all); }
     return all;
   }
   /// Copies the map of camera pair b, with ft::loops also the keyframes that are kept, and their
   /// loops. Waits for the copy, and allocates. To write it, on a thread if you like, takes some
   /// ten times as long. @throws bad_argument for a pair that does not exist or has no map;
   /// std::bad_alloc, cuda_error
-  map_snapshot snapshot_map(int b = 0) const {
-    engine const& p = made();
-    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
-    detail::require(p.results[static_cast<std::size_t>(b)].state != tracking_state::initialising,
-                    "the camera has no map to be saved");
-    odometry_map_view map = p.stages.own.map;
-    for (auto const& part : p.stages.plugged) {
-      if (part->loaded_map() != nullptr) { map = *part->loaded_map(); }
-    }
-    std::vector<map_snapshot::writer> parts;
-    parts.push_back(detail::odometry_map_writer(p.exec, map, b, origin(), p.given.loops.present));
-    for (auto const& part : p.stages.plugged) {
-      if (auto write = part->save(p.exec)) { parts.push_back(std::move(write)); }
-    }
-    return map_snapshot(std::move(parts));
-  }
+  map_snapshot snapshot_map(int b = 0) const { return detail::snapshot_of(made(b), b); }
   /// Writes a snapshot_map(), in the format of pipelines/detail/odometry_files.hpp, with its
   /// errors. @throws error if the stream fails
   void save_map(std::ostream& to, int b = 0) const { snapshot_map(b).write(to); }
@@ -324,29 +296,7 @@ public:
   ///   of range or, where the stream can be positioned, bytes after its end, and naming what
   ///   differs for one that was made with another rig, image size, pyramid or capacity, or by
   ///   another version of the format; bad_argument for a pair that does not exist
-  void load_map(std::istream& from, int b = 0) {
-    engine& p = made();
-    detail::require_range("camera pair", b, 0, p.stages.batch - 1);
-    bool has_loops = false;
-    detail::load_odometry_map(p.exec, p.stages.own.map, b, origin(), p.stages.geometry().levels,
-                              from, p.given.loops.present, [&](bool loops) {
-                                has_loops = loops;
-                                for (auto const& part : p.stages.plugged) {
-                                  part->read(loops ? &from : nullptr);
-                                }
-                              });
-    auto const i = static_cast<std::size_t>(b);
-    p.results[i] = {};
-    p.results[i].state = p.stages.enter_loaded_map(p.exec, b, has_loops);
-    if constexpr (engine::stages_type::starts_from_motion) { p.stages.beginning.forget(p.exec, b); }
-    p.results[i].metric = !engine::stages_type::starts_from_motion;
-    // An IMU is the first part, and comes last: loops know whether the map's unit is known.
-    auto const& parts = p.stages.plugged;
-    std::for_each(parts.rbegin(), parts.rend(),
-                  [&](auto const& part) { part->forget(p.exec, b, p.results[i]); });
-    p.begun[i] = 0;
-    p.stages.own.inputs[b].predicted = p.stages.own.inputs[b].reset = 0;
-  }
+  void load_map(std::istream& from, int b = 0) { detail::load_into(made(b), from, b); }
   /// Time of each stage of the last frame, without what was computed before it by prefetch(); see
   /// frame_tracker::stage_times. Allocates.
   /// @throws bad_argument without odometry_params::measure_stages
@@ -378,36 +328,10 @@ public:
   odometry_map_view map() const { return made().stages.own.map; }
 
 private:
-  /// How many of the parts are of that type.
-  template <typename Part, typename... Plugged>
-  static constexpr int count_of = (0 + ... + int{std::is_same<Plugged, Part>::value});
-
-  template <typename... Plugged>
-  static std::unique_ptr<engine> made_with(Exec const& exec, Rig const& rig,
-                                           odometry_params const& params, int batch,
-                                           Plugged const&... plugged) {
-    constexpr int counts[] = {count_of<inertial, Plugged...>, count_of<places, Plugged...>,
-                              count_of<loops, Plugged...>, count_of<own_features, Plugged...>};
-    constexpr bool known = counts[0] + counts[1] + counts[2] + counts[3] == sizeof...(Plugged);
-    static_assert(known,
-                  "the last arguments of an odometry are its parts: ft::inertial, ft::places, "
-                  "ft::loops or ft::own_features, and no type of yours");
-    static_assert(counts[0] <= 1 && counts[1] <= 1 && counts[2] <= 1 && counts[3] <= 1,
-                  "a part is plugged in once");
-    if constexpr (known) {
-      return engine::made(exec, rig, params, batch, plugged...);
-    } else {
-      return nullptr;
-    }
-  }
-
   engine& made_for_prefetch() const {
     detail::require(made().prefetch != nullptr,
                     "the odometry was made without odometry_params::prefetch");
     return *engine_;
-  }
-  detail::map_origin origin() const {
-    return {made().rig, made().stages.settings.orb, made().stages.own.map};
   }
   void require_single() const {
     detail::require(made().stages.batch == 1,
@@ -415,6 +339,10 @@ private:
   }
   engine& made() const {
     detail::require(engine_ != nullptr, "the odometry was never made, or was moved from");
+    return *engine_;
+  }
+  engine& made(int b) const {
+    made().require_pair(b);
     return *engine_;
   }
 

@@ -31,6 +31,7 @@
 #include "ft/pipelines/detail/odometry_download.hpp"
 #include "ft/pipelines/detail/odometry_part.hpp"
 #include "ft/pipelines/detail/odometry_prefetch.hpp"
+#include "ft/pipelines/detail/odometry_recovery.hpp"
 #include "ft/pipelines/detail/odometry_schedule.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/pipelines/tracker_types.hpp"
@@ -143,17 +144,30 @@ struct odometry_engine {
     frame_end.make();
     record();
   }
+  /// How many of the parts are of that type.
+  template <typename Part, typename... Plugged>
+  static constexpr int count_of = (0 + ... + int{std::is_same_v<Plugged, Part>});
+
   /// @param plugged parts, by their public names @throws likewise
   template <typename... Plugged>
   static std::unique_ptr<odometry_engine> made(Exec const& e, Rig const& of,
                                                odometry_params const& params, int batch,
                                                Plugged const&... plugged) {
-    return std::make_unique<odometry_engine>(
-        e, of, params, batch,
-        named_parts{(std::is_same_v<Plugged, inertial> || ...),
-                    (std::is_same_v<Plugged, loops> || ...),
-                    (std::is_same_v<Plugged, own_features> || ...)},
-        [&](odometry_engine& to) { (to.plug(make_part(plugged, to.exec, to.stages)), ...); });
+    constexpr int counts[] = {count_of<inertial, Plugged...>, count_of<places, Plugged...>,
+                              count_of<loops, Plugged...>, count_of<own_features, Plugged...>};
+    constexpr bool known = counts[0] + counts[1] + counts[2] + counts[3] == sizeof...(Plugged);
+    static_assert(known,
+                  "the last arguments of an odometry are its parts: ft::inertial, ft::places, "
+                  "ft::loops or ft::own_features, and no type of yours");
+    static_assert(counts[0] <= 1 && counts[1] <= 1 && counts[2] <= 1 && counts[3] <= 1,
+                  "a part is plugged in once");
+    if constexpr (known) {
+      return std::make_unique<odometry_engine>(
+          e, of, params, batch, named_parts{counts[0] > 0, counts[2] > 0, counts[3] > 0},
+          [&](odometry_engine& to) { (to.plug(make_part(plugged, to.exec, to.stages)), ...); });
+    } else {
+      return nullptr;
+    }
   }
   void plug(std::unique_ptr<odometry_part<Exec, Rig>> part) {
     if (part == nullptr) { return; }
@@ -180,6 +194,8 @@ struct odometry_engine {
     prefetch->for_each_set(stages, [&] { record_extents(); });
   }
 
+  /// @throws bad_argument for a camera pair that does not exist
+  void require_pair(int b) const { require_range("camera pair", b, 0, stages.batch - 1); }
   /// What has to be right before a frame changes anything.
   /// @throws bad_argument for a time that is not after the camera's last one; what parts have to
   ///   throw

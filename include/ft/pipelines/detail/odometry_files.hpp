@@ -13,6 +13,7 @@
 /// a map without them. Version 1 had capacities alone.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -20,6 +21,7 @@
 #include <memory>
 #include <ostream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "ft/containers/odometry_map.hpp"
@@ -232,6 +234,53 @@ void load_odometry_map(Exec const& exec, odometry_map_view const& map, int b,
   fill_bytes(exec, map.records.found_frame + map.records.at(b, 0), 0,
              static_cast<std::size_t>(map.records.slots) * sizeof(int));
   exec.wait();
+}
+
+template <typename Engine>
+map_origin origin_of(Engine const& of) {
+  return {of.rig, of.stages.settings.orb, of.stages.own.map};
+}
+
+/// Of an odometry_engine, with what its parts write behind the map: odometry::snapshot_map().
+template <typename Engine>
+map_snapshot snapshot_of(Engine const& of, int b) {
+  require(of.results[static_cast<std::size_t>(b)].state != tracking_state::initialising,
+          "the camera has no map to be saved");
+  odometry_map_view map = of.stages.own.map;
+  for (auto const& part : of.stages.plugged) {
+    if (part->loaded_map() != nullptr) { map = *part->loaded_map(); }
+  }
+  std::vector<map_snapshot::writer> parts;
+  parts.push_back(odometry_map_writer(of.exec, map, b, origin_of(of), of.given.loops.present));
+  for (auto const& part : of.stages.plugged) {
+    if (auto write = part->save(of.exec)) { parts.push_back(std::move(write)); }
+  }
+  return map_snapshot(std::move(parts));
+}
+
+/// Into an odometry_engine: odometry::load_map().
+template <typename Engine>
+void load_into(Engine& to, std::istream& from, int b) {
+  constexpr bool starts_from_motion = Engine::stages_type::starts_from_motion;
+  bool has_loops = false;
+  load_odometry_map(to.exec, to.stages.own.map, b, origin_of(to), to.stages.geometry().levels, from,
+                    to.given.loops.present, [&](bool loops) {
+                      has_loops = loops;
+                      for (auto const& part : to.stages.plugged) {
+                        part->read(loops ? &from : nullptr);
+                      }
+                    });
+  auto const i = static_cast<std::size_t>(b);
+  to.results[i] = {};
+  to.results[i].state = to.stages.enter_loaded_map(to.exec, b, has_loops);
+  if constexpr (starts_from_motion) { to.stages.beginning.forget(to.exec, b); }
+  to.results[i].metric = !starts_from_motion;
+  // An IMU is the first part, and comes last: loops know whether the map's unit is known.
+  auto const& parts = to.stages.plugged;
+  std::for_each(parts.rbegin(), parts.rend(),
+                [&](auto const& part) { part->forget(to.exec, b, to.results[i]); });
+  to.begun[i] = 0;
+  to.stages.own.inputs[b].predicted = to.stages.own.inputs[b].reset = 0;
 }
 
 }  // namespace detail

@@ -5,39 +5,20 @@
 // Without IN.txt: twelve views of a wall, made here. Compiled as CUDA it runs on a GPU where there
 // is one; as C++ on the host.
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <exception>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "examples/common/solver.hpp"
 #include "ft/cameras/radtan.hpp"
 #include "ft/containers/bundle.hpp"
-#include "ft/core/cuda_handles.hpp"
-#include "ft/core/execution.hpp"
 #include "ft/pipelines/adjust_map.hpp"
 #include "ft/pipelines/bundle_files.hpp"
 
 using camera = ft::radtan4<double>;
-
-struct options {
-  std::string in, out, backend;
-  ft::map_params params;
-  int threads = 0;
-  int repeat = 1;
-};
-
-int whole(std::string const& name, std::string const& text, long least) {
-  char* end = nullptr;
-  long const v = std::strtol(text.c_str(), &end, 10);
-  if (text.empty() || *end != '\0' || v < least || v > 1000000) {
-    throw std::invalid_argument(name + " " + text + " is not a whole number in range");
-  }
-  return static_cast<int>(v);
-}
 
 double positive(std::string const& name, std::string const& text) {
   char* end = nullptr;
@@ -48,36 +29,19 @@ double positive(std::string const& name, std::string const& text) {
   return v;
 }
 
-options parse(int argc, char** argv) {
-  options o;
-  for (int i = 1; i < argc; ++i) {
-    std::string const word = argv[i];
-    if (word.rfind("--", 0) != 0) {
-      if (!o.in.empty()) {
-        throw std::invalid_argument("two maps are named: " + o.in + ", " + word);
-      }
-      o.in = word;
-      continue;
-    }
-    if (i + 1 == argc) { throw std::invalid_argument(word + " needs a value"); }
-    std::string const value = argv[++i];
-    if (word == "--out") {
-      o.out = value;
-    } else if (word == "--backend" && (value == "host" || value == "cuda")) {
-      o.backend = value;
-    } else if (word == "--huber") {
-      o.params.huber = positive(word, value);
-    } else if (word == "--steps") {
-      o.params.steps = whole(word, value, 0);
-    } else if (word == "--threads") {
-      o.threads = whole(word, value, 0);
-    } else if (word == "--repeat") {
-      o.repeat = whole(word, value, 1);
-    } else {
-      throw std::invalid_argument(word + " " + value + " is not known");
-    }
+/// The options of adjust_map alone.
+bool take(demo::solver_options& o, ft::map_params& params, std::string const& word,
+          std::string const& value) {
+  if (word == "--huber") {
+    params.huber = positive(word, value);
+  } else if (word == "--steps") {
+    params.steps = demo::whole(word, value, 0);
+  } else if (word == "--threads") {
+    o.threads = demo::whole(word, value, 0);
+  } else {
+    return false;
   }
-  return o;
+  return true;
 }
 
 /// Views along a wall of points, each a little off.
@@ -120,17 +84,15 @@ char const* text_of(ft::map_outcome outcome) {
 }
 
 template <typename Exec>
-bool adjust(Exec const& exec, char const* where, options const& o) {
+bool adjust(Exec const& exec, char const* where, demo::solver_options const& o,
+            ft::map_params const& params) {
   ft::bundle<camera> const given = o.in.empty() ? wall() : ft::read_bal(o.in);
   ft::bundle<camera> map;
   ft::map_report report;
   std::vector<double> times;
   for (int k = 0; k < o.repeat; ++k) {
     map = given;
-    auto const begin = std::chrono::steady_clock::now();
-    report = ft::adjust_map(exec, map, o.params);
-    auto const end = std::chrono::steady_clock::now();
-    times.push_back(std::chrono::duration<double, std::milli>(end - begin).count());
+    times.push_back(demo::timed([&] { report = ft::adjust_map(exec, map, params); }));
   }
   std::printf("%zu views, %zu points, %zu observations, %.1f MB\n", map.T_cw.size(),
               map.position.size(), map.pixel.size(), static_cast<double>(report.bytes) * 1e-6);
@@ -139,38 +101,19 @@ bool adjust(Exec const& exec, char const* where, options const& o) {
               report.last_cost, text_of(report.outcome));
   std::printf("without an image: %d observations, after it %d\n", report.first_without_image,
               report.last_without_image);
-  double const first = times.front();
-  std::sort(times.begin(), times.end());
-  std::printf("on the %s: first call %.2f ms; of %d: least %.2f ms, median %.2f ms\n", where, first,
-              o.repeat, times.front(), times[times.size() / 2]);
+  demo::print_times(where, times);
   if (!o.out.empty()) { ft::write_bal(o.out, map); }
   return report.outcome == ft::map_outcome::converged;
 }
 
-bool run(options const& o) {
-#if defined(__CUDACC__)
-  if (o.backend != "host") {
-    int devices = 0;
-    bool const found = cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
-    if (!found && o.backend == "cuda") { throw std::runtime_error("no CUDA device was found"); }
-    if (found) {
-      ft::stream const mine;
-      return adjust(ft::cuda_exec(mine.get()), "GPU", o);
-    }
-  }
-#else
-  if (o.backend == "cuda") {
-    throw std::runtime_error("this program was compiled for the host: use adjust_map_cuda");
-  }
-#endif
-  return adjust(ft::host_exec(o.threads), "host", o);
-}
-
 int main(int argc, char** argv) {
-  try {
-    return run(parse(argc, argv)) ? EXIT_SUCCESS : EXIT_FAILURE;
-  } catch (std::exception const& e) {
-    std::fprintf(stderr, "%s\n", e.what());
-    return EXIT_FAILURE;
-  }
+  return demo::guarded([&] {
+    ft::map_params params;
+    auto const o = demo::parse(argc, argv, "maps", [&](auto& more, auto const&... option) {
+      return take(more, params, option...);
+    });
+    return demo::solve(o, "adjust_map", [&](auto const& exec, char const* where) {
+      return adjust(exec, where, o, params);
+    });
+  });
 }

@@ -5,71 +5,34 @@
 //                       [--steps N] [--repeat N]
 // Without IN.g2o: a loop of a hundred poses, made here. Poses have scales where the file has
 // VERTEX_SIM3:EXPMAP. Compiled as CUDA it runs on a GPU where there is one; as C++ on the host.
-#include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <exception>
 #include <fstream>
 #include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "examples/common/solver.hpp"
 #include "ft/containers/pose_graph.hpp"
-#include "ft/core/cuda_handles.hpp"
-#include "ft/core/execution.hpp"
 #include "ft/pipelines/pose_graph.hpp"
 #include "ft/pipelines/pose_graph_files.hpp"
 
-struct options {
-  std::string in, out, backend;
-  ft::pose_graph_params params;
-  int repeat = 1;
-};
-
-int whole(std::string const& name, std::string const& text, long least) {
-  char* end = nullptr;
-  long const v = std::strtol(text.c_str(), &end, 10);
-  if (text.empty() || *end != '\0' || v < least || v > 1000000) {
-    throw std::invalid_argument(name + " " + text + " is not a whole number in range");
+/// The options of optimize_pose_graph alone.
+bool take(ft::pose_graph_params& params, std::string const& word, std::string const& value) {
+  if (word == "--start" && value == "file") {
+    params.start = ft::pose_graph_start::given;
+  } else if (word == "--start" && value == "odometry") {
+    params.start = ft::pose_graph_start::odometry;
+  } else if (word == "--start" && value == "chordal") {
+    params.start = ft::pose_graph_start::chordal;
+  } else if (word == "--steps") {
+    params.steps = demo::whole(word, value, 0);
+  } else {
+    return false;
   }
-  return static_cast<int>(v);
-}
-
-options parse(int argc, char** argv) {
-  options o;
-  for (int i = 1; i < argc; ++i) {
-    std::string const word = argv[i];
-    if (word.rfind("--", 0) != 0) {
-      if (!o.in.empty()) {
-        throw std::invalid_argument("two graphs are named: " + o.in + ", " + word);
-      }
-      o.in = word;
-      continue;
-    }
-    if (i + 1 == argc) { throw std::invalid_argument(word + " needs a value"); }
-    std::string const value = argv[++i];
-    if (word == "--out") {
-      o.out = value;
-    } else if (word == "--backend" && (value == "host" || value == "cuda")) {
-      o.backend = value;
-    } else if (word == "--start" && value == "file") {
-      o.params.start = ft::pose_graph_start::given;
-    } else if (word == "--start" && value == "odometry") {
-      o.params.start = ft::pose_graph_start::odometry;
-    } else if (word == "--start" && value == "chordal") {
-      o.params.start = ft::pose_graph_start::chordal;
-    } else if (word == "--steps") {
-      o.params.steps = whole(word, value, 0);
-    } else if (word == "--repeat") {
-      o.repeat = whole(word, value, 1);
-    } else {
-      throw std::invalid_argument(word + " " + value + " is not known");
-    }
-  }
-  return o;
+  return true;
 }
 
 /// A circle whose measured turns are a little too small, and the loop that tells.
@@ -124,16 +87,14 @@ Graph with_poses(Graph graph, std::string const& path) {
 }
 
 template <typename Exec, typename Graph>
-bool optimize(Exec const& exec, char const* where, options const& o, Graph const& given) {
+bool optimize(Exec const& exec, char const* where, demo::solver_options const& o,
+              ft::pose_graph_params const& params, Graph const& given) {
   Graph graph;
   ft::pose_graph_report report;
   std::vector<double> times;
   for (int k = 0; k < o.repeat; ++k) {
     graph = given;
-    auto const begin = std::chrono::steady_clock::now();
-    report = ft::optimize_pose_graph(exec, graph, o.params);
-    auto const end = std::chrono::steady_clock::now();
-    times.push_back(std::chrono::duration<double, std::milli>(end - begin).count());
+    times.push_back(demo::timed([&] { report = ft::optimize_pose_graph(exec, graph, params); }));
   }
   std::printf("%zu poses, %zu edges, %lld blocks, %d poses dense, %.1f MB\n",
               graph.T_world_pose.size(), graph.edges.size(), report.blocks, report.dense_poses,
@@ -142,52 +103,33 @@ bool optimize(Exec const& exec, char const* where, options const& o, Graph const
               report.first_chi2, report.steps, report.last_chi2,
               report.converged ? "" : " (not converged)");
   if (!report.started) { std::puts("the start has no solution: the file's poses were taken"); }
-  double const first = times.front();
-  std::sort(times.begin(), times.end());
-  std::printf("on the %s: first call %.2f ms; of %d: least %.2f ms, median %.2f ms\n", where, first,
-              o.repeat, times.front(), times[times.size() / 2]);
+  demo::print_times(where, times);
   if (!o.out.empty()) { ft::write_g2o(o.out, graph); }
   return report.converged;
 }
 
 template <typename Exec>
-bool optimize(Exec const& exec, char const* where, options const& o) {
-  if (o.in.empty()) { return optimize(exec, where, o, circle()); }
+bool optimize(Exec const& exec, char const* where, demo::solver_options const& o,
+              ft::pose_graph_params const& params) {
+  if (o.in.empty()) { return optimize(exec, where, o, params, circle()); }
   std::string const text = text_of(o.in);
   std::istringstream in(text);
   try {
     if (has_scales(text)) {
-      return optimize(exec, where, o, with_poses(ft::read_g2o_similarities(in), o.in));
+      return optimize(exec, where, o, params, with_poses(ft::read_g2o_similarities(in), o.in));
     }
-    return optimize(exec, where, o, with_poses(ft::read_g2o(in), o.in));
+    return optimize(exec, where, o, params, with_poses(ft::read_g2o(in), o.in));
   } catch (ft::error const& e) { throw std::runtime_error(o.in + ": " + e.what()); }
 }
 
-bool run(options const& o) {
-#if defined(__CUDACC__)
-  if (o.backend != "host") {
-    int devices = 0;
-    bool const found = cudaGetDeviceCount(&devices) == cudaSuccess && devices > 0;
-    if (!found && o.backend == "cuda") { throw std::runtime_error("no CUDA device was found"); }
-    if (found) {
-      ft::stream const mine;
-      return optimize(ft::cuda_exec(mine.get()), "GPU", o);
-    }
-  }
-#else
-  if (o.backend == "cuda") {
-    throw std::runtime_error(
-        "this program was compiled for the host: use optimize_pose_graph_cuda");
-  }
-#endif
-  return optimize(ft::host_exec(), "host", o);
-}
-
 int main(int argc, char** argv) {
-  try {
-    return run(parse(argc, argv)) ? EXIT_SUCCESS : EXIT_FAILURE;
-  } catch (std::exception const& e) {
-    std::fprintf(stderr, "%s\n", e.what());
-    return EXIT_FAILURE;
-  }
+  return demo::guarded([&] {
+    ft::pose_graph_params params;
+    auto const o = demo::parse(argc, argv, "graphs", [&](auto&, auto const&... option) {
+      return take(params, option...);
+    });
+    return demo::solve(o, "optimize_pose_graph", [&](auto const& exec, auto* where) {
+      return optimize(exec, where, o, params);
+    });
+  });
 }

@@ -6,24 +6,29 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
-#include <cstring>
 #include <limits>
 #include <sstream>
 #include <string>
 #include <vector>
 
-#include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"
 #include "ft/cameras/radtan.hpp"
 #include "ft/pipelines/adjust_map.hpp"
 #include "ft/pipelines/bundle_files.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/bundles.hpp"
+#include "tests/support/map_checks.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace adjust_map_stereo_test {
 
 using plain = ft::pinhole<double>;
 using lens = ft::radtan4<double>;
+using test::one_camera;
+using test::plain_cost;
+using test::same_bits;
+using test::two_lenses;
+using test::worst_centre;
 
 template <typename Backend>
 class stereo_maps : public test::on_backend<Backend> {
@@ -37,10 +42,6 @@ protected:
 };
 TYPED_TEST_SUITE(stereo_maps, test::backends);
 
-inline std::vector<plain> one_camera() { return {{420, 410, 320, 240}}; }
-inline std::vector<lens> two_lenses() {
-  return {{400, 405, 310, 250, {-0.05, 0.01, 1e-3, -2e-3}}, {500, 500, 0, 0, {0.02, 0, 0, 0}}};
-}
 inline ft::map_params thorough() {
   ft::map_params params;
   params.enough = 1e-14;
@@ -51,47 +52,6 @@ inline test::bundle_shape pairs(int views, int points) {
   test::bundle_shape shape{views, points};
   shape.baseline = 0.2;
   return shape;
-}
-
-/// The cost in plain numbers. All points have both images.
-template <typename Camera>
-double plain_cost(ft::bundle<Camera> const& map, double huber) {
-  double sum = 0;
-  for (std::size_t o = 0; o < map.pixel.size(); ++o) {
-    auto const v = static_cast<std::size_t>(map.observing_view[o]);
-    auto const c = static_cast<std::size_t>(map.camera_of_view[v]);
-    auto p = map.T_cw[v] * map.position[static_cast<std::size_t>(map.observed_point[o])];
-    auto const camera = map.cameras[c].template cast<double>();
-    auto const left = camera.project(p).pixel;
-    double chi2 = (left.x - map.pixel[o].x) * (left.x - map.pixel[o].x) +
-                  (left.y - map.pixel[o].y) * (left.y - map.pixel[o].y);
-    if (!std::isnan(map.right_x[o])) {
-      p.x -= map.baseline[c];
-      double const r = camera.project(p).pixel.x - map.right_x[o];
-      chi2 += r * r;
-    }
-    double const e = std::sqrt(chi2) / map.sigma[o];
-    sum += huber > 0 && e > huber ? 2 * huber * e - huber * huber : e * e;
-  }
-  return sum;
-}
-
-template <typename T>
-bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
-  return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
-}
-template <typename Camera>
-bool same_bits(ft::bundle<Camera> const& a, ft::bundle<Camera> const& b) {
-  return same_bits(a.T_cw, b.T_cw) && same_bits(a.position, b.position);
-}
-template <typename Camera>
-double worst_centre(ft::bundle<Camera> const& a, ft::bundle<Camera> const& b) {
-  double worst = 0;
-  for (std::size_t v = 0; v < a.T_cw.size(); ++v) {
-    auto const d = a.T_cw[v].centre() - b.T_cw[v].centre();
-    worst = std::max(worst, std::sqrt(ft::dot(d, d)));
-  }
-  return worst;
 }
 
 TYPED_TEST(stereo_maps, a_wrong_scale_is_mended) {
@@ -162,34 +122,9 @@ TYPED_TEST(stereo_maps, costs_are_as_said_and_all_derivatives_end_at_zero) {
   }
 }
 
-template <typename Backend, typename Camera>
-void compare_with_host(Backend const& backend, std::vector<Camera> const& cameras, unsigned seed) {
-  auto shape = pairs(30, 500);
-  shape.outliers = 0.05;
-  auto one = test::make_bundle(shape, cameras, seed).map;
-  if (seed % 2 == 0) { one.fixed.clear(); }
-  auto other = one;
-  ft::map_params params;
-  params.huber = 2.5;
-  params.steps = 12;
-  auto const a = ft::adjust_map(backend.exec, one, params);
-  auto const b = ft::adjust_map(ft::host_exec(1), other, params);
-  EXPECT_TRUE(same_bits(one, other)) << Camera::name << ' ' << seed;
-  EXPECT_EQ(a.first_cost, b.first_cost);
-  EXPECT_EQ(a.last_cost, b.last_cost);
-  EXPECT_EQ(a.steps, b.steps);
-  EXPECT_EQ(a.solver_steps, b.solver_steps);
-  EXPECT_LT(a.last_cost, a.first_cost);
-}
 TYPED_TEST(stereo_maps, bits_are_those_of_one_host_thread) {
   for (unsigned seed = 11; seed <= 13; ++seed) {
-    compare_with_host(this->backend, one_camera(), seed);
-    compare_with_host(this->backend, two_lenses(), seed);
-    compare_with_host(this->backend,
-                      std::vector<ft::pinhole<float>>{{420.0f, 410.0f, 320.0f, 240.0f}}, seed);
-    compare_with_host(
-        this->backend,
-        std::vector<ft::kannala_brandt<double>>{{300, 300, 320, 240, 0.01, -0.002, 1e-4, 0}}, seed);
+    test::expect_bits_of_host(this->backend.exec, pairs(30, 500), 12, seed);
   }
 }
 
@@ -231,12 +166,7 @@ TYPED_TEST(stereo_maps, bad_ones_are_refused) {
   auto const refused = [&](auto const& damage, std::string const& part) {
     map_type map = given;
     damage(map);
-    try {
-      this->adjust(map);
-      ADD_FAILURE() << "not refused: " << part;
-    } catch (ft::bad_argument const& e) {
-      EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
-    }
+    test::expect_refused([&] { this->adjust(map); }, part);
   };
   double const infinity = std::numeric_limits<double>::infinity();
   refused([](map_type& m) { m.right_x.pop_back(); }, "`right_x`");

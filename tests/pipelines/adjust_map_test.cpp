@@ -16,16 +16,21 @@
 #include <utility>
 #include <vector>
 
-#include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/pinhole.hpp"
-#include "ft/cameras/radtan.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/bundles.hpp"
+#include "tests/support/map_checks.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace adjust_map_test {
 
 using plain = ft::pinhole<double>;
-using lens = ft::radtan4<double>;
+using test::distance;
+using test::one_camera;
+using test::plain_cost;
+using test::same_bits;
+using test::two_lenses;
+using test::worst_centre;
 
 template <typename Backend>
 class maps : public test::on_backend<Backend> {
@@ -39,56 +44,11 @@ protected:
 };
 TYPED_TEST_SUITE(maps, test::backends);
 
-inline std::vector<plain> one_camera() { return {{420, 410, 320, 240}}; }
-inline std::vector<lens> two_lenses() {
-  return {{400, 405, 310, 250, {-0.05, 0.01, 1e-3, -2e-3}}, {500, 500, 0, 0, {0.02, 0, 0, 0}}};
-}
-
 inline ft::map_params thorough() {
   ft::map_params params;
   params.enough = 1e-13;
   params.solver_enough = 1e-3;
   return params;
-}
-
-/// The cost in plain numbers, all points before their cameras.
-template <typename Camera>
-double plain_cost(ft::bundle<Camera> const& map, double huber) {
-  double sum = 0;
-  for (std::size_t o = 0; o < map.pixel.size(); ++o) {
-    auto const v = static_cast<std::size_t>(map.observing_view[o]);
-    auto const c = static_cast<std::size_t>(map.camera_of_view.empty() ? 0 : map.camera_of_view[v]);
-    auto const X = map.position[static_cast<std::size_t>(map.observed_point[o])];
-    auto const image = map.cameras[c].template cast<double>().project(map.T_cw[v] * X);
-    EXPECT_TRUE(image.valid);
-    double const sigma = map.sigma.empty() ? 1 : map.sigma[o];
-    double const e =
-        std::hypot(image.pixel.x - map.pixel[o].x, image.pixel.y - map.pixel[o].y) / sigma;
-    sum += huber > 0 && e > huber ? 2 * huber * e - huber * huber : e * e;
-  }
-  return sum;
-}
-
-template <typename T>
-bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
-  return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0;
-}
-template <typename Camera>
-bool same_bits(ft::bundle<Camera> const& a, ft::bundle<Camera> const& b) {
-  return same_bits(a.T_cw, b.T_cw) && same_bits(a.position, b.position);
-}
-
-inline double distance(ft::vec3<double> a, ft::vec3<double> b) {
-  auto const d = a - b;
-  return std::sqrt(ft::dot(d, d));
-}
-template <typename Camera>
-double worst_centre(ft::bundle<Camera> const& a, ft::bundle<Camera> const& b) {
-  double worst = 0;
-  for (std::size_t v = 0; v < a.T_cw.size(); ++v) {
-    worst = std::max(worst, distance(a.T_cw[v].centre(), b.T_cw[v].centre()));
-  }
-  return worst;
 }
 
 TYPED_TEST(maps, without_noise_they_become_the_truth) {
@@ -132,37 +92,9 @@ TYPED_TEST(maps, costs_are_as_said_and_the_result_is_a_minimum) {
   }
 }
 
-template <typename Backend, typename Camera>
-void compare_with_host(Backend const& backend, std::vector<Camera> const& cameras, unsigned seed) {
-  test::bundle_shape shape{30, 700};
-  shape.outliers = 0.05;
-  auto one = test::make_bundle(shape, cameras, seed).map;
-  if (seed % 2 == 0) { one.fixed.clear(); }
-  auto other = one;
-  ft::map_params params;
-  params.huber = 2.5;
-  params.steps = 15;
-  auto const a = ft::adjust_map(backend.exec, one, params);
-  auto const b = ft::adjust_map(ft::host_exec(1), other, params);
-  EXPECT_TRUE(same_bits(one, other)) << Camera::name << ' ' << seed;
-  EXPECT_EQ(a.first_cost, b.first_cost);
-  EXPECT_EQ(a.last_cost, b.last_cost);
-  EXPECT_EQ(a.last_chi2, b.last_chi2);
-  EXPECT_EQ(a.steps, b.steps);
-  EXPECT_EQ(a.refused, b.refused);
-  EXPECT_EQ(a.solver_steps, b.solver_steps);
-  EXPECT_LT(a.last_cost, a.first_cost);
-}
-
 TYPED_TEST(maps, bits_are_those_of_one_host_thread) {
   for (unsigned seed = 11; seed <= 14; ++seed) {
-    compare_with_host(this->backend, one_camera(), seed);
-    compare_with_host(this->backend, two_lenses(), seed);
-    compare_with_host(this->backend,
-                      std::vector<ft::pinhole<float>>{{420.0f, 410.0f, 320.0f, 240.0f}}, seed);
-    compare_with_host(
-        this->backend,
-        std::vector<ft::kannala_brandt<double>>{{300, 300, 320, 240, 0.01, -0.002, 1e-4, 0}}, seed);
+    test::expect_bits_of_host(this->backend.exec, {30, 700}, 15, seed);
   }
 }
 
@@ -315,12 +247,7 @@ TYPED_TEST(maps, bad_ones_are_refused) {
   auto const refused = [&](auto const& damage, std::string const& part) {
     auto map = given;
     damage(map);
-    try {
-      this->adjust(map);
-      ADD_FAILURE() << "not refused: " << part;
-    } catch (ft::bad_argument const& e) {
-      EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
-    }
+    test::expect_refused([&] { this->adjust(map); }, part);
   };
   using map_type = ft::bundle<plain>;
   double const nan = std::numeric_limits<double>::quiet_NaN();

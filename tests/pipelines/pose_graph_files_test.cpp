@@ -15,6 +15,7 @@
 #include "ft/kernels/graph/edges.hpp"
 #include "ft/math/sim3.hpp"
 #include "tests/support/pose_graphs.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace pose_graph_files_test {
 
@@ -205,16 +206,8 @@ TEST(SimilarityGraphFiles, InformationIsThatOfTheLogarithm) {
 inline void expect_refused(std::string text, std::string const& from, std::string const& to,
                            std::string const& part, bool similarities) {
   text.replace(text.find(from), from.size(), to);
-  try {
-    if (similarities) {
-      read_similarities(text);
-    } else {
-      read(text);
-    }
-    ADD_FAILURE() << "not refused: " << part;
-  } catch (ft::error const& e) {
-    EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
-  }
+  test::expect_refused<ft::error>(
+      [&] { similarities ? void(read_similarities(text)) : void(read(text)); }, part);
 }
 
 TEST(SimilarityGraphFiles, DamagedOnesAreRefusedByLine) {

@@ -18,12 +18,16 @@
 #include "ft/pipelines/pose_graph_files.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/effort.hpp"
+#include "tests/support/pose_graph_checks.hpp"
 #include "tests/support/pose_graphs.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace pose_graph_test {
 
 using ft::pose_graph_start;
+using test::distance;
 using test::make_graph;
+using test::same_bits;
 
 template <typename Backend>
 class pose_graphs : public test::on_backend<Backend> {
@@ -31,9 +35,7 @@ protected:
   Backend backend;
 
   ft::pose_graph_report optimize(ft::pose_graph& graph, pose_graph_start start) {
-    ft::pose_graph_params params;
-    params.start = start;
-    return ft::optimize_pose_graph(backend.exec, graph, params);
+    return test::optimize(backend.exec, graph, start);
   }
 };
 TYPED_TEST_SUITE(pose_graphs, test::backends);
@@ -61,19 +63,6 @@ inline double plain_chi2(ft::pose_graph const& graph) {
     }
   }
   return sum;
-}
-
-inline double distance(ft::rigid<double> const& a, ft::rigid<double> const& b) {
-  double worst = 0;
-  for (int k = 0; k < 9; ++k) { worst = std::max(worst, std::abs(a.R.m[k] - b.R.m[k])); }
-  auto const d = a.t - b.t;
-  return std::max(worst, std::sqrt(ft::dot(d, d)));
-}
-
-inline bool same_bits(std::vector<ft::rigid<double>> const& a,
-                      std::vector<ft::rigid<double>> const& b) {
-  return a.size() == b.size() &&
-         std::memcmp(a.data(), b.data(), a.size() * sizeof(ft::rigid<double>)) == 0;
 }
 
 TEST(PoseGraphEdge, DerivativesAreThoseOfDifferences) {
@@ -135,21 +124,9 @@ TYPED_TEST(pose_graphs, exact_measurements_give_the_truth) {
 
 TYPED_TEST(pose_graphs, result_is_a_minimum) {
   for (unsigned seed = 11; seed <= 13; ++seed) {
-    auto made = make_graph({120, 60}, seed);
-    auto& graph = made.graph;
-    auto const report = this->optimize(graph, pose_graph_start::given);
-    EXPECT_TRUE(report.converged);
-    EXPECT_LT(report.last_chi2, report.first_chi2);
-    double const least = plain_chi2(graph);
-    EXPECT_NEAR(report.last_chi2, least, 1e-9 * least);
     test::random_motions any(seed);
-    for (int round = 0; round < 30; ++round) {
-      auto moved = graph;
-      for (std::size_t i = 1; i < moved.T_world_pose.size(); ++i) {
-        moved.T_world_pose[i] = moved.T_world_pose[i] * any(1e-4, 1e-4);
-      }
-      EXPECT_GT(plain_chi2(moved), least);
-    }
+    test::expect_minimum(this->backend.exec, make_graph({120, 60}, seed).graph, plain_chi2,
+                         [&](auto& T) { T = T * any(1e-4, 1e-4); });
   }
 }
 
@@ -169,25 +146,8 @@ TYPED_TEST(pose_graphs, executors_agree_to_the_bit) {
     if (!test::whole_effort() && shape.poses > 100) { continue; }
     for (auto const start :
          {pose_graph_start::given, pose_graph_start::odometry, pose_graph_start::chordal}) {
-      auto graph = make_graph(shape, ++seed).graph;
-      if (seed % 2 == 0) {
-        for (auto& e : graph.edges) {
-          e.kernel = seed % 4 == 0 ? ft::robust_kernel::huber : ft::robust_kernel::cauchy;
-        }
-      }
-      auto other = graph;
-      ft::pose_graph_params params;
-      params.start = start;
-      params.steps = 6;
-      auto const a = ft::optimize_pose_graph(this->backend.exec, graph, params);
-      auto const b = ft::optimize_pose_graph(ft::host_exec(1), other, params);
-      EXPECT_TRUE(same_bits(graph.T_world_pose, other.T_world_pose)) << shape.poses;
-      EXPECT_EQ(a.given_cost, b.given_cost);
-      EXPECT_EQ(a.first_cost, b.first_cost);
-      EXPECT_EQ(a.last_cost, b.last_cost);
-      EXPECT_EQ(a.last_chi2, b.last_chi2);
-      EXPECT_EQ(a.steps, b.steps);
-      EXPECT_LE(a.last_cost, a.first_cost);
+      ++seed;
+      test::expect_bits_of_host(this->backend.exec, make_graph(shape, seed).graph, start, seed);
     }
   }
 }
@@ -467,12 +427,7 @@ TYPED_TEST(pose_graphs, bad_graphs_are_refused) {
   auto const refused = [&](auto const& damage, std::string const& part) {
     auto graph = made.graph;
     damage(graph);
-    try {
-      ft::optimize_pose_graph(this->backend.exec, graph);
-      ADD_FAILURE() << "not refused: " << part;
-    } catch (ft::bad_argument const& e) {
-      EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
-    }
+    test::expect_refused([&] { ft::optimize_pose_graph(this->backend.exec, graph); }, part);
   };
   double const nan = std::numeric_limits<double>::quiet_NaN();
   refused([](ft::pose_graph& g) { g.edges[2].to = 5; }, "(edge 2)");

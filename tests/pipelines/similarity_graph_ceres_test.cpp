@@ -12,7 +12,7 @@
 #include <cstddef>
 #include <vector>
 
-#include "ft/pipelines/pose_graph.hpp"
+#include "tests/support/pose_graph_checks.hpp"
 #include "tests/support/pose_graphs.hpp"
 
 namespace similarity_graph_ceres_test {
@@ -109,45 +109,8 @@ inline double solve(ft::similarity_graph& graph) {
   return 2 * summary.final_cost;
 }
 
-inline void compare(ft::similarity_graph const& given, char const* what) {
-  auto own = given;
-  ft::pose_graph_params params;
-  params.enough = 1e-13;
-  auto const report = ft::optimize_pose_graph(ft::host_exec(1), own, params);
-  auto want = given;
-  double const cost = solve(want);
-  EXPECT_LT(report.last_cost, report.first_cost) << what;
-  EXPECT_NEAR(report.last_cost, cost, 1e-8 * cost) << what;
-  double worst = 0;
-  for (std::size_t i = 0; i < own.T_world_pose.size(); ++i) {
-    worst = std::max(worst, test::distance(own.T_world_pose[i], want.T_world_pose[i]));
-  }
-  EXPECT_LT(worst, 1e-4) << what;  // a share of their uncertainty, which is centimetres
-}
-
-TEST(SimilarityGraphCeres, GraphsAgree) {
-  for (unsigned seed = 1; seed <= 4; ++seed) {
-    compare(test::make_similarity_graph({60, 20}, seed).graph, "loops anywhere");
-    compare(test::make_similarity_graph({150, 100, 0.01, 0.02, 25}, seed).graph, "laps");
-  }
-}
-
-TEST(SimilarityGraphCeres, RobustKernelsAgree) {
-  for (auto const kernel : {ft::robust_kernel::huber, ft::robust_kernel::cauchy}) {
-    auto graph = test::make_similarity_graph({80, 40}, 7).graph;
-    for (auto& e : graph.edges) {
-      e.kernel = kernel;
-      e.width = 2;
-    }
-    compare(graph, kernel == ft::robust_kernel::huber ? "huber" : "cauchy");
-  }
-}
-
-TEST(SimilarityGraphCeres, FixedPosesAgree) {
-  auto graph = test::make_similarity_graph({80, 20}, 9).graph;
-  graph.fixed.assign(80, 0);
-  graph.fixed[0] = graph.fixed[40] = 1;
-  compare(graph, "fixed");
+TEST(SimilarityGraphCeres, Agrees) {
+  test::expect_agreement_of_all(test::make_similarity_graph, solve);
 }
 
 }  // namespace similarity_graph_ceres_test

@@ -14,7 +14,9 @@
 #include "tests/support/backends.hpp"
 #include "tests/support/effort.hpp"
 #include "tests/support/memory.hpp"
+#include "tests/support/pose_graph_checks.hpp"
 #include "tests/support/pose_graphs.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace similarity_graph_test {
 
@@ -29,9 +31,7 @@ protected:
   Backend backend;
 
   ft::pose_graph_report optimize(ft::similarity_graph& graph, pose_graph_start start) {
-    ft::pose_graph_params params;
-    params.start = start;
-    return ft::optimize_pose_graph(backend.exec, graph, params);
+    return test::optimize(backend.exec, graph, start);
   }
 };
 TYPED_TEST_SUITE(similarity_graphs, test::backends);
@@ -234,22 +234,12 @@ TYPED_TEST(similarity_graphs, a_loop_takes_the_drift_of_the_scale_back) {
 
 TYPED_TEST(similarity_graphs, result_is_a_minimum) {
   for (unsigned seed = 11; seed <= 12; ++seed) {
-    auto graph = make_similarity_graph({120, 60}, seed).graph;
-    auto const report = this->optimize(graph, pose_graph_start::given);
-    EXPECT_TRUE(report.converged);
-    EXPECT_LT(report.last_chi2, report.first_chi2);
-    double const least = plain_chi2(graph);
-    EXPECT_NEAR(report.last_chi2, least, 1e-9 * least);
     test::random_motions any(seed);
-    for (int round = 0; round < 30; ++round) {
-      auto moved = graph;
-      for (std::size_t i = 1; i < moved.T_world_pose.size(); ++i) {
-        auto const step = any(1e-4, 1e-4);
-        moved.T_world_pose[i] =
-            moved.T_world_pose[i] * motion{step.R, step.t, std::exp(1e-4 * any.number())};
-      }
-      EXPECT_GT(plain_chi2(moved), least);
-    }
+    test::expect_minimum(this->backend.exec, make_similarity_graph({120, 60}, seed).graph,
+                         plain_chi2, [&](motion& T) {
+                           auto const step = any(1e-4, 1e-4);
+                           T = T * motion{step.R, step.t, std::exp(1e-4 * any.number())};
+                         });
   }
 }
 
@@ -262,26 +252,9 @@ TYPED_TEST(similarity_graphs, executors_agree_to_the_bit) {
     if (!test::whole_effort() && shape.poses > 100) { continue; }
     for (auto const start :
          {pose_graph_start::given, pose_graph_start::odometry, pose_graph_start::chordal}) {
-      auto graph = make_similarity_graph(shape, ++seed).graph;
-      if (seed % 2 == 0) {
-        for (auto& e : graph.edges) {
-          e.kernel = seed % 4 == 0 ? ft::robust_kernel::huber : ft::robust_kernel::cauchy;
-        }
-      }
-      auto other = graph;
-      ft::pose_graph_params params;
-      params.start = start;
-      params.steps = 6;
-      auto const a = ft::optimize_pose_graph(this->backend.exec, graph, params);
-      auto const b = ft::optimize_pose_graph(ft::host_exec(1), other, params);
-      EXPECT_TRUE(test::same_bits(graph.T_world_pose, other.T_world_pose)) << shape.poses;
-      EXPECT_TRUE(a.started);
-      EXPECT_EQ(a.given_cost, b.given_cost);
-      EXPECT_EQ(a.first_cost, b.first_cost);
-      EXPECT_EQ(a.last_cost, b.last_cost);
-      EXPECT_EQ(a.last_chi2, b.last_chi2);
-      EXPECT_EQ(a.steps, b.steps);
-      EXPECT_LE(a.last_cost, a.first_cost);
+      ++seed;
+      test::expect_bits_of_host(this->backend.exec, make_similarity_graph(shape, seed).graph, start,
+                                seed);
     }
   }
 }
@@ -388,12 +361,7 @@ TYPED_TEST(similarity_graphs, bad_graphs_are_refused) {
   auto const refused = [&](auto const& damage, std::string const& part) {
     auto graph = made.graph;
     damage(graph);
-    try {
-      ft::optimize_pose_graph(this->backend.exec, graph);
-      ADD_FAILURE() << "not refused: " << part;
-    } catch (ft::bad_argument const& e) {
-      EXPECT_NE(std::string(e.what()).find(part), std::string::npos) << e.what();
-    }
+    test::expect_refused([&] { ft::optimize_pose_graph(this->backend.exec, graph); }, part);
   };
   double const nan = std::numeric_limits<double>::quiet_NaN();
   refused([](auto& g) { g.T_world_pose[3].scale = 0; }, "(pose 3)");

@@ -103,11 +103,15 @@ inline generated_graph make_graph(graph_shape const& shape, unsigned seed) {
 
 /// The largest difference of two poses: of their rotations, of their places, of the logarithms of
 /// their scales.
-inline double distance(ft::similarity<double> const& a, ft::similarity<double> const& b) {
-  double worst = std::abs(std::log(a.scale / b.scale));
+inline double distance(ft::rigid<double> const& a, ft::rigid<double> const& b) {
+  double worst = 0;
   for (int k = 0; k < 9; ++k) { worst = std::max(worst, std::abs(a.R.m[k] - b.R.m[k])); }
   auto const d = a.t - b.t;
   return std::max(worst, std::sqrt(ft::dot(d, d)));
+}
+inline double distance(ft::similarity<double> const& a, ft::similarity<double> const& b) {
+  return std::max(std::abs(std::log(a.scale / b.scale)),
+                  distance(ft::rigid<double>{a.R, a.t}, ft::rigid<double>{b.R, b.t}));
 }
 
 struct generated_similarity_graph {

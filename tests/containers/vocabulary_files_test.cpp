@@ -23,6 +23,7 @@
 #include "tests/support/effort.hpp"
 #include "tests/support/plain_vocabulary.hpp"
 #include "tests/support/random.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace vocabulary_files_test {
 
@@ -70,10 +71,7 @@ host_vocabulary load(std::string const& file) {
 /// What a reader says about a file; empty if it reads it.
 template <typename Reader>
 std::string refusal(Reader const& read, std::string const& file) {
-  try {
-    read(file);
-  } catch (ft::error const& e) { return e.what(); }
-  return {};
+  return test::refusal<ft::error>([&] { read(file); });
 }
 
 void expect_same(ft::vocabulary_view const& a, ft::vocabulary_view const& b) {

@@ -18,6 +18,7 @@
 #include "ft/core/execution.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/effort.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace memory_test {
 
@@ -264,12 +265,8 @@ TEST(require_unit, the_message_names_argument_value_and_limit) {
   EXPECT_THROW(ft::detail::require_finite("fx", std::numeric_limits<double>::infinity()),
                ft::bad_argument);
   EXPECT_THROW(ft::detail::require(false, "no"), ft::error);
-  try {
-    ft::detail::require_range("batch", 5, 1, 4);
-    FAIL() << "5 is not in [1, 4]";
-  } catch (ft::bad_argument const& e) {
-    EXPECT_STREQ(e.what(), "ft: batch is 5, must be in [1, 4]");
-  }
+  EXPECT_EQ(test::refusal([] { ft::detail::require_range("batch", 5, 1, 4); }),
+            "ft: batch is 5, must be in [1, 4]");
 }
 
 TEST(require_unit, the_message_shows_small_and_exact_numbers) {
@@ -280,12 +277,8 @@ TEST(require_unit, the_message_shows_small_and_exact_numbers) {
   EXPECT_EQ(std::stod(ft::detail::number_text(1.0 / 3)), 1.0 / 3);
   EXPECT_EQ(ft::detail::number_text(std::numeric_limits<float>::infinity()), "inf");
   EXPECT_EQ(ft::detail::number_text(7), "7");
-  try {
-    ft::detail::require_range("baseline", 1e-7f, 1e-6f, 1e6f);
-    FAIL() << "1e-7 is below 1e-6";
-  } catch (ft::bad_argument const& e) {
-    EXPECT_STREQ(e.what(), "ft: baseline is 1e-07, must be in [1e-06, 1e+06]");
-  }
+  EXPECT_EQ(test::refusal([] { ft::detail::require_range("baseline", 1e-7f, 1e-6f, 1e6f); }),
+            "ft: baseline is 1e-07, must be in [1e-06, 1e+06]");
 }
 
 }  // namespace memory_test

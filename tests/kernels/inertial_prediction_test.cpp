@@ -20,6 +20,7 @@
 #include "tests/support/memory.hpp"
 #include "tests/support/plain_inertial.hpp"
 #include "tests/support/random.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace inertial_prediction_test {
 
@@ -194,13 +195,6 @@ TYPED_TEST(InertialPredictions, StayWhereNothingIsKnown) {
   }
 }
 
-template <typename F>
-std::string message_of(F const& f) {
-  try {
-    f();
-  } catch (ft::bad_argument const& e) { return e.what(); }
-  return "nothing was thrown";
-}
 bool names(std::string const& message, char const* part) {
   return message.find(part) != std::string::npos;
 }
@@ -220,7 +214,7 @@ TEST(ImuCalibration, RefusesNoiseThatIsNone) {
   auto const with = [](float ft::imu_noise::*member, float value) {
     ft::imu_noise noise;
     noise.*member = value;
-    return message_of([&] { static_cast<void>(ft::variances_of(noise)); });
+    return test::refusal([&] { static_cast<void>(ft::variances_of(noise)); });
   };
   float const nan = std::numeric_limits<float>::quiet_NaN();
   EXPECT_TRUE(names(with(&ft::imu_noise::rate_hz, 0), "rate_hz is 0"));
@@ -250,7 +244,7 @@ TEST(ImuCalibration, MakesARotationOfDigitsThatWereCut) {
 
 TEST(ImuCalibration, RefusesMountsThatAreNone) {
   auto const refused = [](ft::rigid<double> const& T) {
-    return message_of([&] { static_cast<void>(ft::mount_of(T)); });
+    return test::refusal([&] { static_cast<void>(ft::mount_of(T)); });
   };
   auto T = ft::rigid<double>::identity();
   T.R.m[1] = 0.1;

@@ -15,15 +15,13 @@
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/cameras/rgbd_rig.hpp"
 #include "ft/cameras/stereo_rig.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace check_params_test {
 
 template <typename Params>
 std::string refusal(Params const& p) {
-  try {
-    ft::check(p);
-  } catch (ft::bad_argument const& e) { return e.what(); }
-  return "";
+  return test::refusal([&] { ft::check(p); });
 }
 
 ft::odometry_params sized() {
@@ -234,10 +232,7 @@ void expect_readout_is_checked(Rig rig) {
   for (float const bad : {-1e-3f, 0.11f, std::numeric_limits<float>::quiet_NaN(),
                           std::numeric_limits<float>::infinity()}) {
     s = bad;
-    std::string said;
-    try {
-      rig.check();
-    } catch (ft::bad_argument const& e) { said = e.what(); }
+    std::string const said = test::refusal([&] { rig.check(); });
     EXPECT_EQ(said.rfind("ft: readout_s is ", 0), 0u) << said;
     EXPECT_NE(said.find("must be in [0, 0.1]"), std::string::npos) << said;
   }

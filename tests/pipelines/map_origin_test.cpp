@@ -6,6 +6,7 @@
 #include <string>
 
 #include "ft/pipelines/detail/map_origin.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace map_origin_test {
 
@@ -16,10 +17,7 @@ TEST(MapOrigin, AStrangersTextIsShownInFewPlainCharacters) {
   for (std::string const part : {"rig", "rectified pair"}) {
     std::string theirs = ours.text();
     theirs.replace(theirs.find(part), part.size(), "\x1b[2J\xff" + std::string(4000, 'x'));
-    std::string said;
-    try {
-      ours.require_same(theirs);
-    } catch (ft::error const& e) { said = e.what(); }
+    std::string const said = test::refusal<ft::error>([&] { ours.require_same(theirs); });
     EXPECT_NE(said.find("?[2J?xxx"), std::string::npos) << said;
     EXPECT_LT(said.size(), 250u);
     EXPECT_TRUE(std::all_of(said.begin(), said.end(), [](char c) { return c >= ' ' && c <= '~'; }));

@@ -287,6 +287,7 @@ inline nb::object to_numpy(ft::vec3<double> const& v) {
 
 void bind_features(nb::module_& m);
 void bind_odometry(nb::module_& m);
+void bind_tracking(nb::module_& m);
 void bind_places(nb::module_& m);
 void bind_rectifier(nb::module_& m);
 void bind_reports(nb::module_& m);

@@ -91,4 +91,107 @@ feature_options feature_options_of(nb::handle options) {
   return o;
 }
 
+namespace {
+
+ft::camera_description camera_of(std::vector<double> values, ft::camera_kind kind,
+                                 char const* which) {
+  complete(values,
+           kind == ft::camera_kind::pinhole          ? 4
+           : kind == ft::camera_kind::kannala_brandt ? 8
+                                                     : 12,
+           which);
+  ft::camera_description c;
+  c.kind = kind;
+  std::copy(values.begin(), values.end(), c.parameters);
+  return c;
+}
+
+/// The camera of a rig of several.
+ft::camera_description camera_of(rig_camera const& given) {
+  using ft::camera_kind;
+  camera_kind kind = camera_kind::pinhole;
+  for (camera_kind const k :
+       {camera_kind::radtan8, camera_kind::kannala_brandt, camera_kind::double_sphere}) {
+    if (given.model == ft::name_of(k)) { kind = k; }
+  }
+  ft::camera_description c;
+  if (kind == camera_kind::double_sphere) {
+    c.kind = kind;
+    std::copy(given.camera.begin(), given.camera.end(), c.parameters);
+  } else {
+    c = camera_of(given.camera, kind, "rig's");
+  }
+  c.baseline = given.baseline;
+  c.right = given.right;
+  c.has_depth_image = given.has_depth;
+  c.readout_s = given.readout_s;
+  c.T_camera_body = to_ft(given.T_camera_body);
+  return c;
+}
+
+ft::rig_description pair_of(rig const& r, ft::rig_kind of, ft::camera_kind kind) {
+  ft::rig_description rig;
+  rig.kind = of;
+  rig.cameras = 2;
+  rig.camera[0] = camera_of(r.left, kind, "left");
+  rig.camera[1] = camera_of(r.right, kind, "right");
+  rig.camera[1].T_camera_body = to_ft(r.T_right_left);
+  return rig;
+}
+
+ft::rig_description without_readout(rig const& r) {
+  using ft::camera_kind;
+  if (r.kind == "rectified") {
+    ft::rig_description rig;
+    rig.camera[0] = camera_of(r.left, camera_kind::pinhole, "left");
+    rig.camera[0].baseline = r.baseline;
+    return rig;
+  }
+  if (r.kind == "distorted") {
+    auto rig = pair_of(r, ft::rig_kind::distorted_pair, camera_kind::radtan8);
+    auto const wanted = camera_of(r.wanted, camera_kind::pinhole, "wanted");
+    std::copy(wanted.parameters, wanted.parameters + 4, rig.rectified);
+    rig.raw_width = r.raw_width;
+    rig.raw_height = r.raw_height;
+    return rig;
+  }
+  if (r.kind == "fisheye") {
+    return pair_of(r, ft::rig_kind::fisheye_pair, camera_kind::kannala_brandt);
+  }
+  if (r.kind == "monocular") {
+    return ft::rig_description::monocular(camera_of(r.left, camera_kind::pinhole, "pinhole"));
+  }
+  if (r.kind == "monocular_fisheye") {
+    return ft::rig_description::monocular(
+        camera_of(r.left, camera_kind::kannala_brandt, "fisheye"));
+  }
+  if (r.kind == "multi") {
+    ft::rig_description rig;
+    rig.kind = ft::rig_kind::multi;
+    rig.cameras = static_cast<int>(cameras_of(r));
+    ft::camera_description* to = rig.camera;
+    for (rig_camera const& c : r.cameras) { *to++ = camera_of(c); }
+    rig.depth_scale = r.depth_scale.value_or(0);
+    rig.min_depth = r.min_depth;
+    rig.max_depth = r.max_depth;
+    return rig;
+  }
+  auto const kind = r.left.size() == 4 ? camera_kind::pinhole : camera_kind::radtan8;
+  auto rig = ft::rig_description::rgbd(camera_of(r.left, kind, "depth"), r.baseline,
+                                       r.depth_scale.value_or(0));
+  rig.min_depth = r.min_depth;
+  rig.max_depth = r.max_depth;
+  return rig;
+}
+
+}  // namespace
+
+ft::rig_description description_of(rig const& r) {
+  ft::rig_description rig = without_readout(r);
+  for (int c = 0; c < rig.cameras && rig.kind != ft::rig_kind::multi; ++c) {
+    rig.camera[c].readout_s = r.readout_s;
+  }
+  return rig;
+}
+
 }  // namespace ftpy

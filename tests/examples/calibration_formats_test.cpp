@@ -12,7 +12,9 @@
 
 namespace {
 
+using seq_test::bad_text;
 using seq_test::contains;
+using seq_test::expect_refused;
 using seq_test::message_of;
 using seq_test::replaced;
 using seq_test::temp_folder;
@@ -174,10 +176,7 @@ TEST(calibration_kalibr, a_line_delay_is_in_seconds_or_nanoseconds) {
 }
 
 TEST(calibration_kalibr, rejects_bad_files) {
-  struct bad_case {
-    std::string from, to, expected;
-  };
-  std::vector<bad_case> const cases = {
+  std::vector<bad_text> const cases = {
       {"[458.654,", "[0,", "cam0: intrinsics[0] (fu) = 0: must be above 0"},
       {"[458.654,", "[1, 458.654,", "intrinsics has 5 numbers, must have 4"},
       {"camera_model: pinhole", "camera_model: fov", "must be pinhole, omni, ds or eucm"},
@@ -191,12 +190,8 @@ TEST(calibration_kalibr, rejects_bad_files) {
       {"-0.28, 0.07,", "", "2 numbers, must have 4, 5 or 8"},
   };
   temp_folder const folder;
-  for (bad_case const& c : cases) {
-    std::string const path = folder.write("chain.yaml", replaced(camchain, c.from, c.to));
-    std::string const message = message_of([&] { seq::read_calibration(path); });
-    EXPECT_TRUE(contains(message, c.expected)) << c.expected << "\n" << message;
-    EXPECT_TRUE(contains(message, path)) << message;
-  }
+  expect_refused("chain.yaml", camchain, cases,
+                 [](std::string const& path) { seq::read_calibration(path); });
   std::string const one = folder.write("chain.yaml", camchain.substr(0, camchain.find("cam1:")));
   EXPECT_TRUE(contains(message_of([&] { seq::read_calibration(one); }), "cam1 is missing"));
   EXPECT_EQ(seq::read_calibration(one, 0, 0, 0, seq::camera_kind::mono).rig.left.fx, 458.654);
@@ -304,10 +299,7 @@ TEST(calibration_opencv, reads_a_pair_in_one_file_and_as_xml_and_json) {
 
 TEST(calibration_opencv, rejects_what_it_cannot_know) {
   std::string const both = intrinsics_yml + extrinsics_yml.substr(14) + "imageSize: [ 640, 480 ]\n";
-  struct bad_case {
-    std::string from, to, expected;
-  };
-  std::vector<bad_case> const cases = {
+  std::vector<bad_text> const cases = {
       {"[ -0.12, 0.01", "[ -120., 10.", "millimetres"},
       {"0.6, 0.,", "0.6, 0.01,", "thin prism"},
       {"5.3480e+02, 0.,", "5.3480e+02, 3.,", "M1: not of the form"},
@@ -317,11 +309,8 @@ TEST(calibration_opencv, rejects_what_it_cannot_know) {
       {"M2:", "N2:", "M2 (or K2"},
   };
   temp_folder const folder;
-  for (bad_case const& c : cases) {
-    std::string const path = folder.write("stereo.yaml", replaced(both, c.from, c.to));
-    std::string const message = message_of([&] { seq::read_calibration(path); });
-    EXPECT_TRUE(contains(message, c.expected)) << c.expected << "\n" << message;
-  }
+  expect_refused("stereo.yaml", both, cases,
+                 [](std::string const& path) { seq::read_calibration(path); });
   for (char const* xml :
        {"<opencv_storage>", "<opencv_storage><a>1</b></opencv_storage>", "<a>1</a>",
         "<opencv_storage><a>1</a><a>2</a></opencv_storage>", "<opencv_storage/>",

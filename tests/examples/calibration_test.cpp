@@ -17,7 +17,9 @@
 
 namespace {
 
+using seq_test::bad_text;
 using seq_test::contains;
+using seq_test::expect_refused;
 using seq_test::message_of;
 using seq_test::replaced;
 using seq_test::temp_folder;
@@ -252,10 +254,7 @@ TEST(calibration_kitti, reads_the_odometry_form) {
 }
 
 TEST(calibration_kitti, rejects_bad_files) {
-  struct bad_case {
-    std::string from, to, expected;
-  };
-  std::vector<bad_case> const cases = {
+  std::vector<bad_text> const cases = {
       {"P1: 7.18", "Q1: 7.18", "P1: line is missing"},
       {"P1: 7.188560000000e+02 0", "P1: 7.188560000000e+02", "P1 has 11 numbers"},
       {"P0: 7.188560000000e+02", "P0: 0", "P0[0] (fx) = 0"},
@@ -265,13 +264,8 @@ TEST(calibration_kitti, rejects_bad_files) {
       {"P0: 7.188560000000e+02 0", "P0: 7.188560000000e+02 3", "not of the form"},
       {"P2:", "P0:", "P0 is given twice"},
   };
-  for (bad_case const& c : cases) {
-    temp_folder const folder;
-    std::string const path = folder.write("calib.txt", replaced(kitti_text, c.from, c.to));
-    std::string const message = message_of([&] { seq::read_kitti_calibration(path, 1241, 376); });
-    EXPECT_TRUE(contains(message, c.expected)) << c.expected << "\n" << message;
-    EXPECT_TRUE(contains(message, path)) << message;
-  }
+  expect_refused("calib.txt", kitti_text, cases,
+                 [](std::string const& path) { seq::read_kitti_calibration(path, 1241, 376); });
   temp_folder const folder;
   std::string const path = folder.write("calib.txt", kitti_text);
   EXPECT_TRUE(contains(message_of([&] { seq::read_kitti_calibration(path, 0, 376); }), "width"));
@@ -433,10 +427,7 @@ TEST(calibration_orb_slam3, reads_the_old_raw_format) {
 }
 
 TEST(calibration_orb_slam3, rejects_bad_files) {
-  struct bad_case {
-    std::string from, to, expected;
-  };
-  std::vector<bad_case> const cases = {
+  std::vector<bad_text> const cases = {
       {"Camera1.fx: 458.654", "Camera1.fx: 0.0", "Camera1.fx = 0.0: must be above 0"},
       {"Camera1.fx: 458.654", "Camera1.fx: -1", "Camera1.fx = -1: must be above 0"},
       {"Camera1.fx: 458.654", "Camera1.fx: nan", "Camera1.fx = nan: must be finite"},
@@ -461,13 +452,8 @@ TEST(calibration_orb_slam3, rejects_bad_files) {
       {"iniThFAST: 20", "iniThFAST: 300", "ORBextractor.iniThFAST = 300"},
       {"Stereo.ThDepth: 60.0", "Stereo.ThDepth: 0", "Stereo.ThDepth = 0"},
   };
-  for (bad_case const& c : cases) {
-    temp_folder const folder;
-    std::string const path = folder.write("s.yaml", replaced(new_settings, c.from, c.to));
-    std::string const message = message_of([&] { seq::read_orb_slam3_settings(path); });
-    EXPECT_TRUE(contains(message, c.expected)) << c.expected << "\n" << message;
-    EXPECT_TRUE(contains(message, path)) << message;
-  }
+  expect_refused("s.yaml", new_settings, cases,
+                 [](std::string const& path) { seq::read_orb_slam3_settings(path); });
   temp_folder const folder;
   for (char const* text : {"", "just text", "[1, 2]", "a: [", "\t\x01\xff", "%YAML:1.0\n"}) {
     std::string const path = folder.write("s.yaml", text);

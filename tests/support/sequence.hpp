@@ -84,6 +84,23 @@ inline bool contains(std::string const& text, std::string const& part) {
   return text.find(part) != std::string::npos;
 }
 
+/// A change of a text, and what is said of it then.
+struct bad_text {
+  std::string from, to, says;
+};
+/// A file with each change is refused, and named. @param read (path of the file)
+template <typename Read>
+void expect_refused(std::string const& file, std::string const& good,
+                    std::vector<bad_text> const& changes, Read const& read) {
+  temp_folder const folder;
+  for (bad_text const& c : changes) {
+    std::string const path = folder.write(file, replaced(good, c.from, c.to));
+    std::string const message = message_of([&] { read(path); });
+    EXPECT_TRUE(contains(message, c.says)) << c.says << "\n" << message;
+    EXPECT_TRUE(contains(message, path)) << message;
+  }
+}
+
 /// Writes a PNG of 64 x 48 pixels whose first is `value`, the others 40.
 inline void put(temp_folder const& folder, std::string const& name, int value) {
   std::filesystem::create_directories(std::filesystem::path(folder.path(name)).parent_path());

@@ -275,13 +275,10 @@ protected:
     auto const d_data = test::to_exec(backend.exec, data);
     auto const d_out = test::to_exec(backend.exec, std::vector<reduced>(sizes.size(), reduced{}));
     auto const d_threads = test::to_exec(backend.exec, std::vector<int>(sizes.size(), -1));
-    ft::for_each_item<Shape>(
-        backend.exec, items(), reduce_item{}, static_cast<int const*>(d_starts.data()),
-        static_cast<int const*>(d_data.data()), d_out.data(), d_threads.data());
-    auto const out =
-        test::from_exec(backend.exec, static_cast<reduced const*>(d_out.data()), sizes.size());
-    auto const threads =
-        test::from_exec(backend.exec, static_cast<int const*>(d_threads.data()), sizes.size());
+    ft::for_each_item<Shape>(backend.exec, items(), reduce_item{}, d_starts.data(), d_data.data(),
+                             d_out.data(), d_threads.data());
+    auto const out = test::from_exec(backend.exec, d_out);
+    auto const threads = test::from_exec(backend.exec, d_threads);
     for (std::size_t item = 0; item < sizes.size(); ++item) {
       auto const first = data.begin() + starts[item];
       auto const last = data.begin() + starts[item + 1];
@@ -297,30 +294,35 @@ protected:
     }
   }
 
-  template <typename Shape>
-  void check_scan() {
+  /// By portions: what comes before each number, and all. @param of(number): what is added
+  template <typename Shape, typename Op, typename Of>
+  void check_prefixes(Op const& op, Of const& of) {
     auto const data = random_values(0, 9);
     auto const d_starts = test::to_exec(backend.exec, starts);
     auto const d_data = test::to_exec(backend.exec, data);
     auto const d_portions = test::to_exec(backend.exec, std::vector<int>(data.size(), -1));
     auto const d_totals = test::to_exec(backend.exec, std::vector<int>(sizes.size(), -1));
-    ft::for_each_item<Shape>(
-        backend.exec, items(), scan_item{}, static_cast<int const*>(d_starts.data()),
-        static_cast<int const*>(d_data.data()), d_portions.data(), d_totals.data());
-    auto const portions =
-        test::from_exec(backend.exec, static_cast<int const*>(d_portions.data()), data.size());
-    auto const totals =
-        test::from_exec(backend.exec, static_cast<int const*>(d_totals.data()), sizes.size());
+    ft::for_each_item<Shape>(backend.exec, items(), op, d_starts.data(), d_data.data(),
+                             d_portions.data(), d_totals.data());
+    auto const totals = test::from_exec(backend.exec, d_totals);
     std::vector<int> want(data.size());
     for (std::size_t item = 0; item < sizes.size(); ++item) {
       int sum = 0;
       for (int i = starts[item]; i < starts[item + 1]; ++i) {
         want[static_cast<std::size_t>(i)] = sum;
-        sum += data[static_cast<std::size_t>(i)];
+        sum += of(data[static_cast<std::size_t>(i)]);
       }
       EXPECT_EQ(totals[item], sum) << sizes[item];
     }
-    EXPECT_EQ(portions, want);
+    EXPECT_EQ(test::from_exec(backend.exec, d_portions), want);
+  }
+  template <typename Shape>
+  void check_scan() {
+    check_prefixes<Shape>(scan_item{}, [](int v) { return v; });
+  }
+  template <typename Shape>
+  void check_count() {
+    check_prefixes<Shape>(count_item{}, [](int v) { return static_cast<int>(v % 2 == 0); });
   }
 
   template <typename Shape>
@@ -338,10 +340,8 @@ protected:
     std::sort(part(23), part(24), std::greater<unsigned long long>());
     auto const d_starts = test::to_exec(backend.exec, starts);
     auto const d_keys = test::to_exec(backend.exec, keys);
-    ft::for_each_item<Shape>(backend.exec, items(), sort_item{},
-                             static_cast<int const*>(d_starts.data()), d_keys.data());
-    auto const got = test::from_exec(
-        backend.exec, static_cast<unsigned long long const*>(d_keys.data()), keys.size());
+    ft::for_each_item<Shape>(backend.exec, items(), sort_item{}, d_starts.data(), d_keys.data());
+    auto const got = test::from_exec(backend.exec, d_keys);
     for (std::size_t item = 0; item < sizes.size(); ++item) {
       std::sort(part(item), part(item + 1));
     }
@@ -354,42 +354,14 @@ protected:
     auto const d_starts = test::to_exec(backend.exec, starts);
     auto const d_data = test::to_exec(backend.exec, data);
     auto const d_answers = test::to_exec(backend.exec, std::vector<int>(sizes.size(), -1));
-    ft::for_each_item<Shape>(backend.exec, items(), any_item{},
-                             static_cast<int const*>(d_starts.data()),
-                             static_cast<int const*>(d_data.data()), d_answers.data());
-    auto const answers =
-        test::from_exec(backend.exec, static_cast<int const*>(d_answers.data()), sizes.size());
+    ft::for_each_item<Shape>(backend.exec, items(), any_item{}, d_starts.data(), d_data.data(),
+                             d_answers.data());
+    auto const answers = test::from_exec(backend.exec, d_answers);
     for (std::size_t item = 0; item < sizes.size(); ++item) {
       bool const zero =
           std::count(data.begin() + starts[item], data.begin() + starts[item + 1], 0) > 0;
       EXPECT_EQ(answers[item], 2 + static_cast<int>(zero)) << sizes[item];
     }
-  }
-
-  template <typename Shape>
-  void check_count() {
-    auto const data = random_values(0, 9);
-    auto const d_starts = test::to_exec(backend.exec, starts);
-    auto const d_data = test::to_exec(backend.exec, data);
-    auto const d_counts = test::to_exec(backend.exec, std::vector<int>(data.size(), -1));
-    auto const d_totals = test::to_exec(backend.exec, std::vector<int>(sizes.size(), -1));
-    ft::for_each_item<Shape>(
-        backend.exec, items(), count_item{}, static_cast<int const*>(d_starts.data()),
-        static_cast<int const*>(d_data.data()), d_counts.data(), d_totals.data());
-    auto const counts =
-        test::from_exec(backend.exec, static_cast<int const*>(d_counts.data()), data.size());
-    auto const totals =
-        test::from_exec(backend.exec, static_cast<int const*>(d_totals.data()), sizes.size());
-    std::vector<int> want(data.size());
-    for (std::size_t item = 0; item < sizes.size(); ++item) {
-      int sum = 0;
-      for (int i = starts[item]; i < starts[item + 1]; ++i) {
-        want[static_cast<std::size_t>(i)] = sum;
-        sum += static_cast<int>(data[static_cast<std::size_t>(i)] % 2 == 0);
-      }
-      EXPECT_EQ(totals[item], sum) << sizes[item];
-    }
-    EXPECT_EQ(counts, want);
   }
 
   template <typename Shape, typename T>
@@ -404,11 +376,9 @@ protected:
     auto const d_starts = test::to_exec(backend.exec, starts);
     auto const d_data = test::to_exec(backend.exec, data);
     auto const d_out = test::to_exec(backend.exec, std::vector<double>(sums * sizes.size(), -1.0));
-    ft::for_each_item<Shape>(backend.exec, items(), sum_item<T>{},
-                             static_cast<int const*>(d_starts.data()),
-                             static_cast<double const*>(d_data.data()), d_out.data());
-    auto const out = test::from_exec(backend.exec, static_cast<double const*>(d_out.data()),
-                                     sums * sizes.size());
+    ft::for_each_item<Shape>(backend.exec, items(), sum_item<T>{}, d_starts.data(), d_data.data(),
+                             d_out.data());
+    auto const out = test::from_exec(backend.exec, d_out);
     int differs_from_plain_order = 0;
     for (std::size_t item = 0; item < sizes.size(); ++item) {
       double const* const mine = data.data() + starts[item];
@@ -481,9 +451,9 @@ TYPED_TEST(group_unit, neighbouring_lanes_and_ballots) {
   auto const d_largest = test::to_exec(exec, std::vector<int>(values.size(), 0));
   auto const d_votes = test::to_exec(exec, std::vector<unsigned>(values.size(), 0u));
   auto const d_sizes = test::to_exec(exec, std::vector<int>(values.size(), 0));
-  ft::for_each_item<ft::per_block<32>>(exec, items, neighbours_item{},
-                                       static_cast<int const*>(d_values.data()), d_sums.data(),
-                                       d_largest.data(), d_votes.data(), d_sizes.data());
+  ft::for_each_item<ft::per_block<32>>(exec, items, neighbours_item{}, d_values.data(),
+                                       d_sums.data(), d_largest.data(), d_votes.data(),
+                                       d_sizes.data());
   auto const of = [&](auto const& d) { return test::from_exec(exec, d.data(), values.size()); };
   auto const sums_of_4 = of(d_sums);
   auto const largest = of(d_largest);
@@ -525,8 +495,7 @@ TYPED_TEST(group_unit, extra_scratch_is_there_up_to_the_limit) {
       use_extra_scratch op;
       op.bytes = std::min(bytes, most) / 4 * 4;
       ft::for_each_item<ft::per_block<threads>>(exec, items, op, d_wrong.data());
-      auto const wrong = test::from_exec(exec, static_cast<int const*>(d_wrong.data()),
-                                         static_cast<std::size_t>(items));
+      auto const wrong = test::from_exec(exec, d_wrong);
       for (int const w : wrong) { ASSERT_EQ(w, 0) << items << " items, " << op.bytes << " bytes"; }
     }
   }
@@ -557,7 +526,7 @@ TYPED_TEST(group_unit, more_extra_scratch_than_there_is_throws) {
                  ft::cuda_error);
     op.bytes = 64;
     ft::for_each_item<ft::per_block<threads>>(exec, 1, op, d_wrong.data());
-    EXPECT_EQ(test::from_exec(exec, static_cast<int const*>(d_wrong.data()), 1)[0], 0);
+    EXPECT_EQ(test::from_exec(exec, d_wrong)[0], 0);
   } else {
     EXPECT_EQ(ft::single_group::extra(), nullptr);
   }
@@ -586,9 +555,8 @@ TYPED_TEST(group_unit, atomics_count_every_item) {
   auto const d_values = test::to_exec(this->backend.exec, values);
   auto const d_out = test::to_exec(this->backend.exec, std::vector<int>{0, 1 << 30, -(1 << 30)});
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(values.size()),
-                                    use_atomics{}, static_cast<int const*>(d_values.data()),
-                                    d_out.data());
-  auto const out = test::from_exec(this->backend.exec, static_cast<int const*>(d_out.data()), 3);
+                                    use_atomics{}, d_values.data(), d_out.data());
+  auto const out = test::from_exec(this->backend.exec, d_out.data(), 3);
   EXPECT_EQ(out[0], std::accumulate(values.begin(), values.end(), 0));
   EXPECT_EQ(out[1], *std::min_element(values.begin(), values.end()));
   EXPECT_EQ(out[2], *std::max_element(values.begin(), values.end()));
@@ -609,8 +577,7 @@ TYPED_TEST(group_unit, every_item_runs_once) {
     ft::for_each_item<ft::per_thread>(this->backend.exec, n, count_visit{}, visits.data());
     ft::for_each_item<ft::per_warp>(this->backend.exec, n, count_visit{}, visits.data());
     ft::for_each_item<ft::per_block<64>>(this->backend.exec, n, count_visit{}, visits.data());
-    auto const got = test::from_exec(this->backend.exec, static_cast<int const*>(visits.data()),
-                                     static_cast<std::size_t>(n + 1));
+    auto const got = test::from_exec(this->backend.exec, visits);
     std::vector<int> want(static_cast<std::size_t>(n), 3);
     want.push_back(0);
     EXPECT_EQ(got, want);

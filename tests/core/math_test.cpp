@@ -247,10 +247,9 @@ protected:
     auto const d_b = test::to_exec(backend.exec, b);
     auto const d_c = test::to_exec(backend.exec, c);
     ft::buffer<T, Backend::exec_type::space> d_out(4 * n);
-    ft::for_each_item<ft::per_thread>(
-        backend.exec, static_cast<int>(n), sum_of_product<T>{}, static_cast<T const*>(d_a.data()),
-        static_cast<T const*>(d_b.data()), static_cast<T const*>(d_c.data()), d_out.data());
-    auto const out = test::from_exec(backend.exec, static_cast<T const*>(d_out.data()), 4 * n);
+    ft::for_each_item<ft::per_thread>(backend.exec, static_cast<int>(n), sum_of_product<T>{},
+                                      d_a.data(), d_b.data(), d_c.data(), d_out.data());
+    auto const out = test::from_exec(backend.exec, d_out);
     int fused_differs = 0;
     for (std::size_t i = 0; i < n; ++i) {
       T volatile product = a[i] * b[i];
@@ -291,12 +290,9 @@ TYPED_TEST(math_unit, roundings_are_those_of_the_standard_library) {
   auto const d_even = test::to_exec(this->backend.exec, std::vector<int>(values.size(), -7));
   auto const d_away = test::to_exec(this->backend.exec, std::vector<int>(values.size(), -7));
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(values.size()),
-                                    round_values{}, static_cast<float const*>(d_values.data()),
-                                    d_even.data(), d_away.data());
-  auto const even =
-      test::from_exec(this->backend.exec, static_cast<int const*>(d_even.data()), values.size());
-  auto const away =
-      test::from_exec(this->backend.exec, static_cast<int const*>(d_away.data()), values.size());
+                                    round_values{}, d_values.data(), d_even.data(), d_away.data());
+  auto const even = test::from_exec(this->backend.exec, d_even);
+  auto const away = test::from_exec(this->backend.exec, d_away);
   for (std::size_t i = 0; i < values.size(); ++i) {
     EXPECT_EQ(even[i], static_cast<int>(std::lrint(values[i]))) << values[i];
     EXPECT_EQ(away[i], static_cast<int>(std::lround(values[i]))) << values[i];
@@ -334,15 +330,13 @@ TYPED_TEST(math_unit, functions_of_floats_are_rounded_once) {
   auto const d_plain = test::to_exec(this->backend.exec, std::vector<float>(count, -7.0f));
   auto const d_strict = test::to_exec(this->backend.exec, std::vector<float>(count, -7.0f));
   auto const items = static_cast<int>(values.size());
-  auto const* const in = static_cast<float const*>(d_values.data());
+  auto const* const in = d_values.data();
   ft::for_each_item<ft::per_thread>(this->backend.exec, items, all_scalar_functions<float>{}, in,
                                     d_plain.data());
   ft::for_each_item<ft::per_thread>(this->backend.exec, items,
                                     all_scalar_functions<ft::strict_float>{}, in, d_strict.data());
-  auto const plain =
-      test::from_exec(this->backend.exec, static_cast<float const*>(d_plain.data()), count);
-  auto const strict =
-      test::from_exec(this->backend.exec, static_cast<float const*>(d_strict.data()), count);
+  auto const plain = test::from_exec(this->backend.exec, d_plain);
+  auto const strict = test::from_exec(this->backend.exec, d_strict);
   for (std::size_t i = 0; i < values.size(); ++i) {
     long double const v = static_cast<long double>(values[i]);
     long double const exact[scalar_functions] = {std::sin(v), std::cos(v), std::tan(v),
@@ -384,10 +378,9 @@ TYPED_TEST(math_unit, tan_and_atan2_of_strict_doubles_are_near_and_the_same_ever
   auto const d_out =
       test::to_exec(this->backend.exec, std::vector<double>(own_functions::count * y.size(), -7.0));
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(y.size()), own_functions{},
-                                    static_cast<double const*>(d_y.data()),
-                                    static_cast<double const*>(d_x.data()), d_out.data());
-  auto const out = test::from_exec(this->backend.exec, static_cast<double const*>(d_out.data()),
-                                   own_functions::count * y.size());
+                                    d_y.data(), d_x.data(), d_out.data());
+  auto const out =
+      test::from_exec(this->backend.exec, d_out.data(), own_functions::count * y.size());
   auto const is_near = [](double got, long double exact) {
     double const want = static_cast<double>(exact);
     if (std::isnan(want)) { return std::isnan(got); }
@@ -450,10 +443,8 @@ TYPED_TEST(math_unit, the_quick_arc_tangent_is_near_and_the_same_everywhere) {
   auto const d_x = test::to_exec(this->backend.exec, x);
   auto const d_out = test::to_exec(this->backend.exec, std::vector<float>(y.size(), -7.0f));
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(y.size()), arc_tangents{},
-                                    static_cast<float const*>(d_y.data()),
-                                    static_cast<float const*>(d_x.data()), d_out.data());
-  auto const out =
-      test::from_exec(this->backend.exec, static_cast<float const*>(d_out.data()), y.size());
+                                    d_y.data(), d_x.data(), d_out.data());
+  auto const out = test::from_exec(this->backend.exec, d_out.data(), y.size());
   for (std::size_t i = 0; i < y.size(); ++i) {
     double const want = std::atan2(static_cast<double>(y[i]), static_cast<double>(x[i]));
     EXPECT_LT(std::abs(static_cast<double>(out[i]) - want), 4e-7) << y[i] << ", " << x[i];
@@ -476,12 +467,9 @@ TYPED_TEST(math_unit, popcount_and_hamming_count_bits) {
   auto const d_bits = test::to_exec(this->backend.exec, std::vector<int>(d.size(), -1));
   auto const d_distances = test::to_exec(this->backend.exec, std::vector<int>(d.size(), -1));
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(d.size()), count_bits{},
-                                    static_cast<ft::descriptor const*>(d_d.data()), d_bits.data(),
-                                    d_distances.data());
-  auto const bits =
-      test::from_exec(this->backend.exec, static_cast<int const*>(d_bits.data()), d.size());
-  auto const distances =
-      test::from_exec(this->backend.exec, static_cast<int const*>(d_distances.data()), d.size());
+                                    d_d.data(), d_bits.data(), d_distances.data());
+  auto const bits = test::from_exec(this->backend.exec, d_bits);
+  auto const distances = test::from_exec(this->backend.exec, d_distances);
   for (std::size_t i = 0; i < d.size(); ++i) {
     std::size_t different = 0;
     for (int k = 0; k < 8; ++k) {
@@ -516,10 +504,8 @@ TYPED_TEST(math_unit, exp_of_a_twist_is_rodrigues_formula) {
   auto const d_twists = test::to_exec(this->backend.exec, twists);
   ft::buffer<ft::rigid<double>, TypeParam::exec_type::space> d_out(angles.size());
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(angles.size()),
-                                    exponential{}, static_cast<double const*>(d_twists.data()),
-                                    d_out.data());
-  auto const out = test::from_exec(
-      this->backend.exec, static_cast<ft::rigid<double> const*>(d_out.data()), angles.size());
+                                    exponential{}, d_twists.data(), d_out.data());
+  auto const out = test::from_exec(this->backend.exec, d_out);
   for (std::size_t i = 0; i < angles.size(); ++i) {
     // Squaring doubles the error with every halving of the angle.
     double const tolerance = 1e-14 * std::max(1.0, 4 * angles[i]);
@@ -544,9 +530,8 @@ TYPED_TEST(math_unit, exp_of_many_turns_in_float_is_a_rotation_still) {
   auto const d_twists = test::to_exec(this->backend.exec, twists);
   ft::buffer<ft::rigid<float>, TypeParam::exec_type::space> d_out(n);
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(n), exponential_in_float{},
-                                    static_cast<float const*>(d_twists.data()), d_out.data());
-  auto const out =
-      test::from_exec(this->backend.exec, static_cast<ft::rigid<float> const*>(d_out.data()), n);
+                                    d_twists.data(), d_out.data());
+  auto const out = test::from_exec(this->backend.exec, d_out);
   for (std::size_t i = 0; i < n; ++i) {
     auto const R = out[i].template cast<double>().R;
     auto const product = R * R.transposed();
@@ -579,10 +564,8 @@ TYPED_TEST(math_unit, solve_6_agrees_with_gaussian_elimination) {
     auto const d_systems = test::to_exec(this->backend.exec, systems);
     ft::buffer<solution_6, TypeParam::exec_type::space> d_out(systems.size());
     ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(systems.size()), solve{},
-                                      static_cast<system_6 const*>(d_systems.data()), damping,
-                                      d_out.data());
-    auto const out = test::from_exec(this->backend.exec,
-                                     static_cast<solution_6 const*>(d_out.data()), systems.size());
+                                      d_systems.data(), damping, d_out.data());
+    auto const out = test::from_exec(this->backend.exec, d_out);
     for (std::size_t i = 0; i < systems.size(); ++i) {
       EXPECT_EQ(out[i].solved, 1);
       auto const want = solve_by_elimination(systems[i], damping);
@@ -612,10 +595,8 @@ TYPED_TEST(math_unit, solve_6_refuses_what_is_not_positive_definite) {
   auto const d_systems = test::to_exec(this->backend.exec, systems);
   ft::buffer<solution_6, TypeParam::exec_type::space> d_out(systems.size());
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(systems.size()), solve{},
-                                    static_cast<system_6 const*>(d_systems.data()), 0.0,
-                                    d_out.data());
-  auto const out = test::from_exec(this->backend.exec, static_cast<solution_6 const*>(d_out.data()),
-                                   systems.size());
+                                    d_systems.data(), 0.0, d_out.data());
+  auto const out = test::from_exec(this->backend.exec, d_out);
   for (std::size_t i = 0; i < systems.size(); ++i) {
     EXPECT_EQ(out[i].solved, i == 0 ? 1 : 0) << i;
   }

@@ -38,9 +38,8 @@ protected:
 
   static void add(exec_type const& e, int factor, memory const& from, memory const& term,
                   memory const& to) {
-    ft::for_each_item<ft::per_thread>(e, size, scale_and_add{}, factor,
-                                      static_cast<int const*>(from.data()),
-                                      static_cast<int const*>(term.data()), to.data());
+    ft::for_each_item<ft::per_thread>(e, size, scale_and_add{}, factor, from.data(), term.data(),
+                                      to.data());
   }
 
   /// 3 (2 input + input) + (5 (2 input + input) + input) by a branch concurrent with the main line.
@@ -65,7 +64,7 @@ protected:
       add(e, 1, ahead, branched, joined);
     };
     auto const expect = [&] {
-      auto const got = test::from_exec(exec, static_cast<int const*>(joined.data()), count);
+      auto const got = test::from_exec(exec, joined.data(), count);
       for (std::size_t i = 0; i < count; ++i) {
         int const v = values[i];
         ASSERT_EQ(got[i], 3 * (3 * v) + (5 * (3 * v) + v)) << i;
@@ -130,7 +129,7 @@ TYPED_TEST(side_branch_unit, a_second_fork_waits_for_the_main_line_again) {
     } else {
       recorded.replay(exec, queue);
     }
-    auto const got = test::from_exec(exec, static_cast<int const*>(joined.data()), count);
+    auto const got = test::from_exec(exec, joined.data(), count);
     for (std::size_t i = 0; i < count; ++i) {
       ASSERT_EQ(got[i], (5 * 4 + 3 + 7 * 4 + 1) * values[i]) << i << " in round " << round;
     }
@@ -161,8 +160,7 @@ TYPED_TEST(side_branch_unit, the_host_sees_what_was_written_before_a_flag_and_at
   end.make();
   auto const queue = [&](executor const& e) {
     auto const tell = [&](staged const& to, int* flag) {
-      ft::for_each_item<ft::per_warp>(e, 1, tell_host{}, static_cast<int const*>(value.data()),
-                                      int{n}, to.data(), flag);
+      ft::for_each_item<ft::per_warp>(e, 1, tell_host{}, value.data(), int{n}, to.data(), flag);
     };
     TestFixture::add(e, 1, work, work, work);
     tell(told, flags.data());
@@ -206,7 +204,7 @@ TYPED_TEST(side_branch_unit, concurrent_launches_find_what_the_preceding_grid_wa
   auto const add = TestFixture::add;
   // 3 v; 9 v + v; concurrently 15 v + v and 21 v + v; all that the last launches waited for.
   auto const queue = [&](executor const& e) {
-    ft::copy(e, values.data(), static_cast<int const*>(input.data()), count);
+    ft::copy(e, values.data(), input.data(), count);
     add(e, 2, values, values, begun);
     add(e, 3, begun, values, ahead);
     auto const concurrent = ft::detail::with_order(e, order::concurrent);
@@ -227,7 +225,7 @@ TYPED_TEST(side_branch_unit, concurrent_launches_find_what_the_preceding_grid_wa
     } else {
       recorded.replay(exec, queue);
     }
-    auto const got = test::from_exec(exec, static_cast<int const*>(joined.data()), count);
+    auto const got = test::from_exec(exec, joined.data(), count);
     for (std::size_t i = 0; i < count; ++i) {
       ASSERT_EQ(got[i], (10 + 16 + 22) * input.data()[i]) << i << " in round " << round;
     }

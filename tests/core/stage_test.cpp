@@ -178,17 +178,15 @@ TYPED_TEST(stage_unit, a_prologue_of_warps_decides_about_its_item_in_every_launc
     for (int i = 0; i < n; ++i) { values.push_back(i * 7 % 1000); }
     auto const input = test::to_exec(exec, values);
     auto const copy = [](executor const& e, memory const& from, memory const& to) {
-      ft::for_each_item<ft::per_thread>(e, n, copy_item{}, static_cast<int const*>(from.data()),
-                                        to.data());
+      ft::for_each_item<ft::per_thread>(e, n, copy_item{}, from.data(), to.data());
     };
     auto const queue = [&](executor const& e) {
       ft::fill_bytes(e, sum.data(), 0, sum.bytes());
       copy(e, input, early);
       copy(e, early, between);
       copy(e, between, late);
-      ft::for_each_item<ft::per_warp>(ft::detail::with_order(e, o), n, add_odd{},
-                                      static_cast<int const*>(early.data()),
-                                      static_cast<int const*>(late.data()), sum.data());
+      ft::for_each_item<ft::per_warp>(ft::detail::with_order(e, o), n, add_odd{}, early.data(),
+                                      late.data(), sum.data());
     };
     ft::recording<executor> recorded;
     recorded.record(exec, queue);
@@ -197,7 +195,7 @@ TYPED_TEST(stage_unit, a_prologue_of_warps_decides_about_its_item_in_every_launc
         ft::fill_bytes(exec, m->data(), 0x55, m->bytes());
       }
       round % 2 == 0 ? queue(exec) : recorded.replay(exec, queue);
-      auto const got = test::from_exec(exec, static_cast<int const*>(sum.data()), count);
+      auto const got = test::from_exec(exec, sum.data(), count);
       for (std::size_t i = 0; i < count; ++i) {
         ASSERT_EQ(got[i], values[i] % 2 == 0 ? 0 : 2 * values[i]) << i << ", round " << round;
       }

@@ -290,10 +290,8 @@ TYPED_TEST(feature_grid_unit, area_queries_agree_with_brute_force) {
   auto const d_found =
       test::to_exec(exec, std::vector<int>(windows.size() * static_cast<std::size_t>(n), -1));
   auto const check = [&] {
-    auto const counts =
-        test::from_exec(exec, static_cast<int const*>(d_counts.data()), windows.size());
-    auto const found = test::from_exec(exec, static_cast<int const*>(d_found.data()),
-                                       windows.size() * static_cast<std::size_t>(n));
+    auto const counts = test::from_exec(exec, d_counts);
+    auto const found = test::from_exec(exec, d_found);
     std::size_t total = 0;
     for (std::size_t i = 0; i < windows.size(); ++i) {
       auto const& w = windows[i];
@@ -306,13 +304,11 @@ TYPED_TEST(feature_grid_unit, area_queries_agree_with_brute_force) {
     EXPECT_GT(total, 2000u);
   };
   int const items = static_cast<int>(windows.size());
-  ft::for_each_item<ft::per_thread>(exec, items, run_query{},
-                                    static_cast<ft::search_window const*>(d_windows.data()),
-                                    kp.view(), grid.view(), d_found.data(), d_counts.data(), n);
+  ft::for_each_item<ft::per_thread>(exec, items, run_query{}, d_windows.data(), kp.view(),
+                                    grid.view(), d_found.data(), d_counts.data(), n);
   check();
-  ft::for_each_item<ft::per_warp>(exec, items, run_query{},
-                                  static_cast<ft::search_window const*>(d_windows.data()),
-                                  kp.view(), grid.view(), d_found.data(), d_counts.data(), n);
+  ft::for_each_item<ft::per_warp>(exec, items, run_query{}, d_windows.data(), kp.view(),
+                                  grid.view(), d_found.data(), d_counts.data(), n);
   check();
 }
 
@@ -336,11 +332,9 @@ TYPED_TEST(feature_grid_unit, a_window_that_is_no_number_touches_nothing) {
   auto const d_windows = test::to_exec(exec, windows);
   auto const d_counts = test::to_exec(exec, std::vector<int>(4, -1));
   auto const d_found = test::to_exec(exec, std::vector<int>(800, -1));
-  ft::for_each_item<ft::per_warp>(exec, 4, run_query{},
-                                  static_cast<ft::search_window const*>(d_windows.data()),
-                                  kp.view(), grid.view(), d_found.data(), d_counts.data(), 200);
-  EXPECT_EQ(test::from_exec(exec, static_cast<int const*>(d_counts.data()), 4),
-            (std::vector<int>{0, 0, 0, 0}));
+  ft::for_each_item<ft::per_warp>(exec, 4, run_query{}, d_windows.data(), kp.view(), grid.view(),
+                                  d_found.data(), d_counts.data(), 200);
+  EXPECT_EQ(test::from_exec(exec, d_counts), (std::vector<int>{0, 0, 0, 0}));
 }
 
 }  // namespace feature_grid_test

@@ -46,21 +46,6 @@ void draw(test::generator& random, bytes_apart<Bytes>& row) {
   for (auto& b : row.of) { b = static_cast<unsigned char>(random.below(256)); }
 }
 
-template <typename Distance>
-void expect_same(std::vector<ft::descriptor_match<Distance>> const& got,
-                 std::vector<ft::descriptor_match<Distance>> const& want) {
-  ASSERT_EQ(got.size(), want.size());
-  for (std::size_t i = 0; i < got.size(); ++i) {
-    ASSERT_EQ(got[i].index, want[i].index) << "row " << i;
-    ASSERT_EQ(got[i].nearest, want[i].nearest) << "row " << i;
-    ASSERT_EQ(got[i].second, want[i].second) << "row " << i;
-    if (want[i].nearest >= 0) { ASSERT_EQ(got[i].distance, want[i].distance) << "row " << i; }
-    if (want[i].second >= 0) {
-      ASSERT_EQ(got[i].second_distance, want[i].second_distance) << "row " << i;
-    }
-  }
-}
-
 /// All tests of a descriptor's rules, and none.
 template <typename D>
 std::vector<ft::match_tests<ft::descriptor_distance<D>>> all_tests() {
@@ -85,8 +70,8 @@ void matches_are_those_of_a_plain_loop(Exec const& exec) {
     }
     auto const distances = test::plain_distances(query, train);
     for (auto const& tests : all_tests<D>()) {
-      expect_same(test::matches_by(exec, query, train, tests),
-                  test::plain_matches(distances, train.size(), tests));
+      test::expect_same(test::matches_by(exec, query, train, tests),
+                        test::plain_matches(distances, train.size(), tests));
     }
   }
 }
@@ -148,8 +133,10 @@ void more_tiles_than_strips(Exec const& exec) {
   auto const many = test::random_rows<D>(random, 64 * 70 + 5);
   auto tests = ft::match_tests<int>::by(D::rules, true);
   tests.most = D::rules.greatest;
-  expect_same(test::matches_by(exec, few, many, tests), test::plain_matches(few, many, tests));
-  expect_same(test::matches_by(exec, many, few, tests), test::plain_matches(many, few, tests));
+  test::expect_same(test::matches_by(exec, few, many, tests),
+                    test::plain_matches(few, many, tests));
+  test::expect_same(test::matches_by(exec, many, few, tests),
+                    test::plain_matches(many, few, tests));
 }
 
 TYPED_TEST(MatchDescriptors, MoreTilesThanStrips) {
@@ -207,7 +194,8 @@ TYPED_TEST(MatchDescriptors, CountsBelowAndAboveTheCapacity) {
     };
     auto want = test::plain_matches(used(n.first, query), used(n.second, train), tests);
     want.resize(query.size(), {-1, -1, -1, 0, 0});
-    expect_same(test::matches_by(backend.exec, query, train, tests, {n.first, n.second}), want);
+    test::expect_same(test::matches_by(backend.exec, query, train, tests, {n.first, n.second}),
+                      want);
   }
 }
 
@@ -226,7 +214,7 @@ TYPED_TEST(MatchDescriptors, RowsThatAreNoNumbersMatchNothing) {
   for (bool const mutual : {false, true}) {
     tests.mutual = mutual;
     auto const got = test::matches_by(backend.exec, query, train, tests);
-    expect_same(got, test::plain_matches(query, train, tests));
+    test::expect_same(got, test::plain_matches(query, train, tests));
     EXPECT_EQ(got[3].nearest, -1);
     EXPECT_EQ(got[4].nearest, -1);
     for (auto const& m : got) { EXPECT_NE(m.nearest % 4, 0); }
@@ -268,9 +256,9 @@ TYPED_TEST(MatchDescriptors, TheSameOnEveryRun) {
   auto const train = test::random_rows<D>(random, 650);
   auto const tests = ft::match_tests<float>::by(D::rules, true);
   auto const first = test::matches_by(backend.exec, query, train, tests);
-  expect_same(first, test::matches_by(ft::host_exec(), query, train, tests));
+  test::expect_same(first, test::matches_by(ft::host_exec(), query, train, tests));
   for (int round = 0; round < 3; ++round) {
-    expect_same(test::matches_by(backend.exec, query, train, tests), first);
+    test::expect_same(test::matches_by(backend.exec, query, train, tests), first);
   }
 }
 

@@ -48,14 +48,6 @@ Rig make_rig() {
     return test::example_rig<Rig>();
   }
 }
-template <typename Rig>
-auto const& model_of(Rig const& rig, int c) {
-  if constexpr (Rig::rectified) {
-    return rig.pair(c).camera;
-  } else {
-    return rig.left;
-  }
-}
 /// The camera of place i in a row.
 template <typename Rig>
 int camera_of(Rig const&, int i) {
@@ -119,7 +111,7 @@ private:
     std::ptrdiff_t const k = a.at(r) + i;
     int const c = camera_of(rig, i);
     ft::vec2<float> const pixel{random.real(150, 400), random.real(150, 350)};
-    auto const ray = model_of(rig, c).unproject(pixel).direction;
+    auto const ray = test::model_of(rig, c).unproject(pixel).direction;
     float const depth = random.real(2, 6) / ray.z;
     ft::vec3<float> const seen{ray.x * depth, ray.y * depth, ray.z * depth};
     a.point[k] = in_body(rig, c, seen.template cast<double>()).template cast<float>();
@@ -136,7 +128,7 @@ private:
     std::ptrdiff_t const from = a.at(alike) + i, to = a.at(query) + (i * 7) % points;
     auto const p = T_query_row * a.point[from].template cast<double>();
     int const c = a.camera[to];
-    auto const seen = model_of(rig, c).project(in_camera(rig, c, p).template cast<float>());
+    auto const seen = test::model_of(rig, c).project(in_camera(rig, c, p).template cast<float>());
     a.point[to] = p.template cast<float>();
     if constexpr (ft::is_monocular_v<Rig>) {
       // Depths are known within some percent; one in eight is wrong.

@@ -247,23 +247,8 @@ template <typename Backend>
 class MatchShortlist : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(MatchShortlist, test::backends);
 
-template <typename D>
-void expect_same(test::matches_of<D> const& got, test::matches_of<D> const& want) {
-  ASSERT_EQ(got.size(), want.size());
-  for (std::size_t i = 0; i < got.size(); ++i) {
-    ASSERT_EQ(got[i].index, want[i].index) << "row " << i;
-    ASSERT_EQ(got[i].nearest, want[i].nearest) << "row " << i;
-    ASSERT_EQ(got[i].second, want[i].second) << "row " << i;
-    if (want[i].nearest >= 0) { ASSERT_EQ(got[i].distance, want[i].distance) << "row " << i; }
-    if (want[i].second >= 0) {
-      ASSERT_EQ(got[i].second_distance, want[i].second_distance) << "row " << i;
-    }
-  }
-}
-
 template <typename T, int N, typename Metric, typename Exec>
 void matches_are_those_of_a_plain_loop(Exec const& exec, int queries, int trains, unsigned seed) {
-  using D = ft::vector_descriptor<T, N, Metric>;
   for (kind const k : all_kinds) {
     SCOPED_TRACE(std::string(name_of(k)) + ", seed " + std::to_string(seed));
     hard_rows<T, N, Metric> rows(k, seed);
@@ -273,8 +258,8 @@ void matches_are_those_of_a_plain_loop(Exec const& exec, int queries, int trains
     for (bool const mutual : {false, true}) {
       ft::match_tests<float> tests;
       tests.mutual = mutual;
-      expect_same<D>(test::matches_by(exec, query, train, tests),
-                     test::plain_matches(distances, train.size(), tests));
+      test::expect_same(test::matches_by(exec, query, train, tests),
+                        test::plain_matches(distances, train.size(), tests));
     }
   }
 }
@@ -309,7 +294,6 @@ TYPED_TEST(MatchShortlist, OfHalvesIsThatOfAPlainLoop) {
 
 TYPED_TEST(MatchShortlist, OfACountBelowTheCapacityWithAllTests) {
   TypeParam backend;
-  using D = ft::vector_descriptor<float, 128>;
   for (kind const k : all_kinds) {
     SCOPED_TRACE(name_of(k));
     hard_rows<float, 128, ft::squared_distance> rows(k, 4);
@@ -324,7 +308,7 @@ TYPED_TEST(MatchShortlist, OfACountBelowTheCapacityWithAllTests) {
     train.resize(100);
     auto want = test::plain_matches(query, train, tests);
     want.resize(130, {-1, -1, -1, 0, 0});
-    expect_same<D>(got, want);
+    test::expect_same(got, want);
   }
 }
 

@@ -35,15 +35,6 @@ struct arrays {
   ft::pose* T_cw = nullptr;
 };
 
-template <typename Rig>
-auto const& model_of(Rig const& rig, int c) {
-  if constexpr (Rig::rectified) {
-    return rig.pair(c).camera;
-  } else {
-    return rig.left;
-  }
-}
-
 /// A frame that sees the points that the last one held, from another pose.
 struct scene {
   int right = 200;      ///< keypoints that see their point
@@ -125,7 +116,7 @@ private:
       // Within 90 degrees of the axis of each camera.
       float const last = 80 + (n < s.right ? s.width : 350);
       ft::vec2<float> const pixel{random.real(80, last), random.real(80, last)};
-      auto const ray = model_of(rig, camera).unproject(pixel).direction;
+      auto const ray = test::model_of(rig, camera).unproject(pixel).direction;
       float const depth = random.real(1, 8) / ray.z;
       ft::vec3<float> in_camera{ray.x * depth, ray.y * depth, ray.z * depth};
       if (!(ray.z > 0.2f)) { continue; }

@@ -89,9 +89,8 @@ protected:
     auto const d_x = test::to_exec(backend.exec, x);
     auto const d_out = test::to_exec(backend.exec, std::vector<float>(x.size(), -1.0f));
     ft::for_each_item<ft::per_thread>(backend.exec, static_cast<int>(x.size()), arc_tangent{},
-                                      static_cast<float const*>(d_y.data()),
-                                      static_cast<float const*>(d_x.data()), d_out.data());
-    return test::from_exec(backend.exec, static_cast<float const*>(d_out.data()), x.size());
+                                      d_y.data(), d_x.data(), d_out.data());
+    return test::from_exec(backend.exec, d_out);
   }
 
   template <typename Shape>
@@ -102,8 +101,8 @@ protected:
     auto const d_out = test::to_exec(backend.exec, std::vector<float>(spots.size(), -1.0f));
     ft::gray_view const view{d_image.data(), width, static_cast<int>(image.size()) / width, width};
     ft::for_each_item<Shape>(backend.exec, static_cast<int>(spots.size()), orient{}, view,
-                             static_cast<spot const*>(d_spots.data()), d_out.data());
-    return test::from_exec(backend.exec, static_cast<float const*>(d_out.data()), spots.size());
+                             d_spots.data(), d_out.data());
+    return test::from_exec(backend.exec, d_out);
   }
 };
 TYPED_TEST_SUITE(orientation_unit, test::backends);
@@ -150,10 +149,9 @@ TYPED_TEST(orientation_unit, cosine_and_sine_are_those_of_the_c_library) {
   auto const& exec = this->backend.exec;
   auto const d_angles = test::to_exec(exec, angles);
   auto const d_out = test::to_exec(exec, std::vector<ft::rotation>(angles.size()));
-  ft::for_each_item<ft::per_thread>(exec, static_cast<int>(angles.size()), turn{},
-                                    static_cast<float const*>(d_angles.data()), d_out.data());
-  auto const got =
-      test::from_exec(exec, static_cast<ft::rotation const*>(d_out.data()), angles.size());
+  ft::for_each_item<ft::per_thread>(exec, static_cast<int>(angles.size()), turn{}, d_angles.data(),
+                                    d_out.data());
+  auto const got = test::from_exec(exec, d_out);
   int otherwise = 0;
   for (std::size_t i = 0; i < angles.size(); ++i) {
     float const radians = angles[i] * static_cast<float>(3.14159265358979323846 / 180.0);
@@ -177,7 +175,7 @@ TYPED_TEST(orientation_unit, cosine_and_sine_of_all_floats_are_those_of_the_c_li
   for (std::uint64_t first = 0; first <= last; first += std::uint64_t{at_once} * stride) {
     ft::for_each_item<ft::per_thread>(exec, at_once, turn_bits{}, static_cast<std::uint32_t>(first),
                                       stride, d_out.data());
-    auto const got = test::from_exec(exec, static_cast<two_turns const*>(d_out.data()), at_once);
+    auto const got = test::from_exec(exec, d_out);
     for (std::size_t i = 0; i < at_once && first + i * stride <= last; ++i) {
       auto const bits = static_cast<std::uint32_t>(first + i * stride);
       float radians = 0;

@@ -71,9 +71,8 @@ TYPED_TEST(packed_pixels_unit, operations_on_words_are_those_on_their_parts) {
   auto const d_in = test::to_exec(this->backend.exec, in);
   auto d_out = test::to_exec(this->backend.exec, std::vector<results>(in.size()));
   ft::for_each_item<ft::per_thread>(this->backend.exec, static_cast<int>(in.size()), apply_all{},
-                                    static_cast<operands const*>(d_in.data()), d_out.data());
-  auto const out =
-      test::from_exec(this->backend.exec, static_cast<results const*>(d_out.data()), in.size());
+                                    d_in.data(), d_out.data());
+  auto const out = test::from_exec(this->backend.exec, d_out);
   for (std::size_t i = 0; i < in.size(); ++i) {
     auto const [a, b, c] = in[i];
     auto const halved = [](word v, int k) { return v >> (16 * k) & 0xffffu; };
@@ -129,11 +128,9 @@ TYPED_TEST(packed_pixels_unit, bytes_are_read_from_any_address_up_to_the_last_wo
   constexpr int items = 16;
   auto const d_pixels = test::to_exec(this->backend.exec, pixels);
   auto d_out = test::to_exec(this->backend.exec, std::vector<three_words>(items));
-  ft::for_each_item<ft::per_thread>(this->backend.exec, items, load_three{},
-                                    static_cast<std::uint8_t const*>(d_pixels.data()),
+  ft::for_each_item<ft::per_thread>(this->backend.exec, items, load_three{}, d_pixels.data(),
                                     d_out.data());
-  auto const out =
-      test::from_exec(this->backend.exec, static_cast<three_words const*>(d_out.data()), at(items));
+  auto const out = test::from_exec(this->backend.exec, d_out.data(), at(items));
   for (int i = 0; i < items; ++i) {
     int const bytes = 9 + i % 4;
     for (int k = 0; k < bytes; ++k) {
@@ -194,8 +191,7 @@ TYPED_TEST(packed_pixels_unit, rectangles_reach_scratch_from_any_address_and_str
     ft::gray_view const view{d_pixels.data() + shift, width, height, stride};
     ft::for_each_item<ft::per_block<64>>(this->backend.exec, 1, stage_and_copy{}, view, r,
                                          d_out.data());
-    auto const out = test::from_exec(this->backend.exec,
-                                     static_cast<std::uint8_t const*>(d_out.data()), at(r.w * r.h));
+    auto const out = test::from_exec(this->backend.exec, d_out.data(), at(r.w * r.h));
     for (int i = 0; i < r.w * r.h; ++i) {
       ASSERT_EQ(out[at(i)], pixels[at(shift + (r.y + i / r.w) * stride + r.x + i % r.w)])
           << "round " << round << " pixel " << i;
@@ -244,13 +240,10 @@ TYPED_TEST(packed_pixels_unit, flagged_pixels_are_listed_once_and_counted_past_t
       auto const d_flags = test::to_exec(this->backend.exec, flags);
       auto d_count = test::to_exec(this->backend.exec, std::vector<int>(1));
       auto d_list = test::to_exec(this->backend.exec, std::vector<std::uint16_t>(512));
-      ft::for_each_item<ft::per_block<64>>(this->backend.exec, 1, list_flagged{},
-                                           static_cast<unsigned const*>(d_flags.data()), n,
+      ft::for_each_item<ft::per_block<64>>(this->backend.exec, 1, list_flagged{}, d_flags.data(), n,
                                            capacity, d_count.data(), d_list.data());
-      auto const count =
-          test::from_exec(this->backend.exec, static_cast<int const*>(d_count.data()), 1)[0];
-      auto list = test::from_exec(this->backend.exec,
-                                  static_cast<std::uint16_t const*>(d_list.data()), 512);
+      auto const count = test::from_exec(this->backend.exec, d_count)[0];
+      auto list = test::from_exec(this->backend.exec, d_list);
       EXPECT_EQ(count, static_cast<int>(want.size()));
       for (std::size_t i = at(capacity); i < list.size(); ++i) { EXPECT_EQ(list[i], 0xffff) << i; }
       if (count > capacity) { continue; }
@@ -339,13 +332,10 @@ TYPED_TEST(packed_pixels_unit, corner_test_and_score_of_pairs_are_those_of_singl
       auto d_scores = test::to_exec(this->backend.exec, std::vector<int>(pixels.size()));
       auto d_flags = test::to_exec(this->backend.exec, std::vector<int>(pixels.size()));
       ft::for_each_item<ft::per_thread>(this->backend.exec, (height - 6) * (pitch / 4 - 2),
-                                        score_all{},
-                                        static_cast<std::uint8_t const*>(d_pixels.data()), pitch,
-                                        threshold, d_scores.data(), d_flags.data());
-      auto const scores = test::from_exec(this->backend.exec,
-                                          static_cast<int const*>(d_scores.data()), pixels.size());
-      auto const flags = test::from_exec(this->backend.exec,
-                                         static_cast<int const*>(d_flags.data()), pixels.size());
+                                        score_all{}, d_pixels.data(), pitch, threshold,
+                                        d_scores.data(), d_flags.data());
+      auto const scores = test::from_exec(this->backend.exec, d_scores);
+      auto const flags = test::from_exec(this->backend.exec, d_flags);
       for (int y = 3; y < height - 3; ++y) {
         for (int x = 4; x < pitch - 4; ++x) {
           int const i = y * pitch + x;

@@ -240,11 +240,11 @@ protected:
                       {d_observations.data(), static_cast<int>(n), d_start.data(), d_result.data(),
                        d_outlier.data(), d_inliers.data()});
     result r;
-    r.pose = test::from_exec(exec, static_cast<ft::pose const*>(d_result.data()), 1)[0];
-    r.outlier = test::from_exec(exec, static_cast<unsigned char const*>(d_outlier.data()), n + 1);
+    r.pose = test::from_exec(exec, d_result.data(), 1)[0];
+    r.outlier = test::from_exec(exec, d_outlier);
     EXPECT_EQ(r.outlier.back(), 77) << "nothing is written past the end";
     r.outlier.pop_back();
-    r.inliers = test::from_exec(exec, static_cast<int const*>(d_inliers.data()), 1)[0];
+    r.inliers = test::from_exec(exec, d_inliers.data(), 1)[0];
     EXPECT_EQ(r.inliers, n < 3 ? 0 : number_of_inliers(r.outlier))
         << "the number is that of the flags";
     return r;
@@ -382,9 +382,8 @@ protected:
     auto const d_observations = test::to_exec(exec, s.observations);
     auto const d_out = test::to_exec(exec, std::vector<derivatives>(n, derivatives{}));
     ft::for_each_item<ft::per_thread>(exec, static_cast<int>(n), differentiate<Rig>{}, rig,
-                                      static_cast<ft::observation const*>(d_observations.data()),
-                                      s.start, step, d_out.data());
-    auto const out = test::from_exec(exec, static_cast<derivatives const*>(d_out.data()), n);
+                                      d_observations.data(), s.start, step, d_out.data());
+    auto const out = test::from_exec(exec, d_out);
     int with_three = 0;
     for (std::size_t i = 0; i < n; ++i) {
       EXPECT_EQ(out[i].rows, s.observations[i].right_u >= 0 ? 3 : 2);
@@ -464,9 +463,8 @@ protected:
     frame.holder = d_holder.data();
     ft::optimize_frame_poses(exec, rig, {frame, d_map.view(), geometry},
                              {d_start.data(), d_result.data(), observations});
-    auto const got = test::from_exec(exec, static_cast<ft::pose const*>(d_result.data()), batch);
-    auto const after =
-        test::from_exec(exec, static_cast<int const*>(d_holder.data()), holder.size());
+    auto const got = test::from_exec(exec, d_result);
+    auto const after = test::from_exec(exec, d_holder);
     auto const counts = test::from_exec(exec, static_cast<int const*>(observations.count), batch);
     auto const inliers =
         test::from_exec(exec, static_cast<int const*>(observations.inliers), batch);

@@ -177,11 +177,10 @@ struct frames {
     ft::move_to_middle_rows(exec, in);
     answer out{test::column<ft::field::x>(exec, to.view()),
                test::column<ft::field::y>(exec, to.view()),
-               test::from_exec(exec, static_cast<float const*>(d.data()), depth.size()),
-               test::from_exec(exec, static_cast<float const*>(r.data()), depth.size()),
+               test::from_exec(exec, d),
+               test::from_exec(exec, r.data(), depth.size()),
                {}};
-    for (auto const& q :
-         test::from_exec(exec, static_cast<ft::vec3<float> const*>(p.data()), points.size())) {
+    for (auto const& q : test::from_exec(exec, p)) {
       out.point.insert(out.point.end(), {q.x, q.y, q.z});
     }
     return out;
@@ -551,8 +550,7 @@ TYPED_TEST(rolling_shutter, velocities_are_those_of_the_prediction) {
   state.T_cw = const_cast<motion*>(T.data());
   state.batch = batch;
   ft::find_body_velocities(backend.exec, in.data(), state, out.data());
-  auto const found =
-      test::from_exec(backend.exec, static_cast<ft::shutter_motion const*>(out.data()), batch);
+  auto const found = test::from_exec(backend.exec, out);
   for (int const b : {0, 3}) { expect_near(found[test::at(b)].now, v, 1e-4); }
   for (int const b : {1, 2, 4}) { expect_near(found[test::at(b)].now, {}, 0); }
   for (auto const& m : found) { expect_near(m.before, {}, 0); }
@@ -588,8 +586,7 @@ TYPED_TEST(rolling_shutter, velocities_are_those_of_the_first_pose) {
   state.batch = batch;
   ft::refine_body_velocities(backend.exec, {seen.data(), agree.data(), 20}, state,
                              const_cast<ft::shutter_motion*>(out.data()));
-  auto const found =
-      test::from_exec(backend.exec, static_cast<ft::shutter_motion const*>(out.data()), batch);
+  auto const found = test::from_exec(backend.exec, out);
   for (auto const& m : found) { expect_near(m.before, predicted, 0); }
   expect_near(found[0].now, v, 1e-4);
   // From the middle of 0.1 s to the end of the 0.05 s after them: by half of the change and a

@@ -33,15 +33,6 @@ struct arrays {
   float* depth = nullptr;
 };
 
-template <typename Rig>
-auto const& model_of(Rig const& rig, int c) {
-  if constexpr (Rig::rectified) {
-    return rig.pair(c).camera;
-  } else {
-    return rig.left;
-  }
-}
-
 /// A frame before a room, and a thing in the middle of its image that has moved. Depths in metres.
 struct scene {
   int rest = 350;
@@ -136,7 +127,7 @@ private:
                           std::abs(pixel.y - height / 2) < s.half_high;
       bool const free = n >= s.rest + s.thing;
       bool const thing = free ? middle : n >= s.rest;
-      auto const ray = model_of(rig, camera).unproject(pixel).direction;
+      auto const ray = test::model_of(rig, camera).unproject(pixel).direction;
       // Within 80 degrees of the axis.
       if ((!free && thing != middle) || !(ray.z > 0.17f * std::sqrt(ft::dot(ray, ray)))) {
         continue;

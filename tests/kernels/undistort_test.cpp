@@ -83,8 +83,7 @@ TYPED_TEST(undistort_unit, keypoints_go_where_the_target_camera_sees_their_ray) 
   ft::undistort_keypoints(exec, fisheye(), ideal(), R, raw.view(), {out.view(), valid.data()});
   auto const u = test::column<ft::field::x>(exec, out.view());
   auto const v = test::column<ft::field::y>(exec, out.view());
-  auto const good =
-      test::from_exec(exec, static_cast<std::uint8_t const*>(valid.data()), valid.size());
+  auto const good = test::from_exec(exec, valid.data(), valid.size());
   EXPECT_EQ(test::from_exec(exec, static_cast<int const*>(out.view().count), 3), count);
   for (int b = 0; b < batch; ++b) {
     for (int i = 0; i < capacity; ++i) {
@@ -117,8 +116,7 @@ TYPED_TEST(undistort_unit, a_keypoint_without_a_ray_keeps_its_position_and_is_ma
   ft::undistort_keypoints(exec, fisheye(), ideal(), raw.view(), {out.view(), valid.data()});
   auto const u = test::column<ft::field::x>(exec, out.view());
   auto const v = test::column<ft::field::y>(exec, out.view());
-  EXPECT_EQ(test::from_exec(exec, static_cast<std::uint8_t const*>(valid.data()), 6),
-            (std::vector<std::uint8_t>{0, 0, 0, 0, 0, 1}));
+  EXPECT_EQ(test::from_exec(exec, valid), (std::vector<std::uint8_t>{0, 0, 0, 0, 0, 1}));
   for (std::size_t i = 0; i < 5; ++i) {
     EXPECT_TRUE(u[i] == x[i] || (std::isnan(u[i]) && std::isnan(x[i]))) << i;
     EXPECT_TRUE(v[i] == y[i] || (std::isnan(v[i]) && std::isnan(y[i]))) << i;
@@ -128,7 +126,7 @@ TYPED_TEST(undistort_unit, a_keypoint_without_a_ray_keeps_its_position_and_is_ma
   // A ray that the target camera cannot see.
   ft::mat3<double> const back{{-1, 0, 0, 0, 1, 0, 0, 0, -1}};
   ft::undistort_keypoints(exec, fisheye(), ideal(), back, raw.view(), {out.view(), valid.data()});
-  EXPECT_EQ(test::from_exec(exec, static_cast<std::uint8_t const*>(valid.data()), 6)[5], 0);
+  EXPECT_EQ(test::from_exec(exec, valid)[5], 0);
   EXPECT_EQ(test::column<ft::field::x>(exec, out.view())[5], 300);
 }
 
@@ -188,7 +186,7 @@ TYPED_TEST(undistort_unit, answers_are_the_same_on_every_executor) {
             test::column<ft::field::x>(reference, host.view()));
   EXPECT_EQ(test::column<ft::field::y>(exec, out.view()),
             test::column<ft::field::y>(reference, host.view()));
-  EXPECT_EQ(test::from_exec(exec, static_cast<std::uint8_t const*>(valid.data()), n), host_valid);
+  EXPECT_EQ(test::from_exec(exec, valid), host_valid);
   auto const good = std::count(host_valid.begin(), host_valid.end(), 1);
   EXPECT_GT(good, n / 2);
   EXPECT_LT(good, n) << "the corners have no ray";

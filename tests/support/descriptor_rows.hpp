@@ -2,6 +2,8 @@
 /// @file Random descriptors, and matches found one distance after the other.
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
@@ -131,6 +133,21 @@ matches_of<D> matches_by(Exec const& exec, std::vector<D> const& query, std::vec
                         ft::descriptor_rows<D>{t.data(), trains, of_train}, tests, work.view(),
                         out.data());
   return from_exec(exec, out.data(), query.size());
+}
+
+template <typename Distance>
+void expect_same(std::vector<ft::descriptor_match<Distance>> const& got,
+                 std::vector<ft::descriptor_match<Distance>> const& want) {
+  ASSERT_EQ(got.size(), want.size());
+  for (std::size_t i = 0; i < got.size(); ++i) {
+    ASSERT_EQ(got[i].index, want[i].index) << "row " << i;
+    ASSERT_EQ(got[i].nearest, want[i].nearest) << "row " << i;
+    ASSERT_EQ(got[i].second, want[i].second) << "row " << i;
+    if (want[i].nearest >= 0) { ASSERT_EQ(got[i].distance, want[i].distance) << "row " << i; }
+    if (want[i].second >= 0) {
+      ASSERT_EQ(got[i].second_distance, want[i].second_distance) << "row " << i;
+    }
+  }
 }
 
 }  // namespace test

@@ -56,4 +56,14 @@ inline three_camera_rig example_rig<three_camera_rig>() {
            {{380.3f, 379.1f, 330.7f, 242.3f}, 0.2, at({0.1, 0.2, -0.02}, {-0.1, 0.03, 0.04})}}};
 }
 
+/// The left camera c.
+template <typename Rig>
+auto const& model_of(Rig const& rig, int c) {
+  if constexpr (Rig::rectified) {
+    return rig.pair(c).camera;
+  } else {
+    return rig.left;
+  }
+}
+
 }  // namespace test

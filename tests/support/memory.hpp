@@ -30,6 +30,12 @@ std::vector<T> from_exec(Exec const& exec, T const* data, std::size_t count) {
   return values;
 }
 
+/// All of it.
+template <typename T, ft::memory_space Space, typename Exec>
+std::vector<T> from_exec(Exec const& exec, ft::buffer<T, Space> const& memory) {
+  return from_exec(exec, memory.data(), memory.size());
+}
+
 template <typename T>
 bool same_bits(std::vector<T> const& a, std::vector<T> const& b) {
   return a.size() == b.size() &&

@@ -44,28 +44,19 @@ inline camera_view view_of(rigid<double> const& T_camera) {
   return {T_camera.t, T_camera.R * vec3<double>{0, 0, 1}};
 }
 
-/// The last frame with the depths of its keypoints: of one camera those of the map.
+/// The last frame with the depths of its keypoints: of one camera those of the map, or, if they are
+/// to say nothing, the same for all.
 template <typename Exec, typename Rig>
-auto frame_with_points([[maybe_unused]] Exec const& exec,
-                       odometry_stages<Exec, Rig> const& stages) {
+auto frame_with_points([[maybe_unused]] Exec const& exec, odometry_stages<Exec, Rig> const& stages,
+                       [[maybe_unused]] bool with_depths = true) {
   auto in = stages.as_keyframe();
   if constexpr (odometry_stages<Exec, Rig>::starts_from_motion) {
     auto const& seen = stages.beginning.points();  // the next keyframe writes it anew
-    place_held_points(exec, in, stages.own.map.points, seen.depth, seen.point);
-    in.depth = seen.depth;
-    in.point = seen.point;
-  }
-  return in;
-}
-
-/// The same: of one camera all keypoints have depths that say nothing.
-template <typename Exec, typename Rig>
-auto frame_with_any_points([[maybe_unused]] Exec const& exec,
-                           odometry_stages<Exec, Rig> const& stages) {
-  auto in = stages.as_keyframe();
-  if constexpr (odometry_stages<Exec, Rig>::starts_from_motion) {
-    auto const& seen = stages.beginning.points();
-    place_all_ahead(exec, in.frame.capacity(), seen.depth, seen.point);
+    if (with_depths) {
+      place_held_points(exec, in, stages.own.map.points, seen.depth, seen.point);
+    } else {
+      place_all_ahead(exec, in.frame.capacity(), seen.depth, seen.point);
+    }
     in.depth = seen.depth;
     in.point = seen.point;
   }

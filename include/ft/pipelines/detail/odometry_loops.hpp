@@ -209,7 +209,7 @@ private:
     };
     if (in.predicted != 0 && place(in_world(in.T_cw.inverse()))) { return true; }
     int const row = archive_->rows - 1;  // of the margin
-    keep_keyframe(exec, frame_with_any_points(exec, stages), 0, row, archive_.view());
+    keep_keyframe(exec, frame_with_points(exec, stages, false), 0, row, archive_.view());
     search_type& search = beside_->work();
     auto const found = search.look_up(exec, path_.size(), row, in.time_ns);
     if (found.has_value()) {

@@ -18,6 +18,7 @@
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/odometry_answers.hpp"
+#include "tests/support/refusals.hpp"
 #include "tests/support/room.hpp"
 
 namespace distorted_pair_test {
@@ -47,15 +48,7 @@ rig_type rig() {
   return rig_type::make(left_lens(), right_lens(), T_right_left(), {290, 290, 239.5f, 179.5f});
 }
 
-ft::odometry_params params() {
-  ft::odometry_params p;
-  p.orb = test::room::params().orb;
-  p.map_slots = 4096;
-  p.local_points = 2048;
-  p.keyframes = 20;
-  p.window_points = 2048;
-  return p;
-}
+ft::odometry_params params() { return test::room::odometry_params(4096); }
 
 /// The walk of raw cameras: 24 frames, 10 of the second one. @param seed 0 or 1
 std::vector<stereo_frame> const& walk(unsigned seed = 0) {
@@ -72,17 +65,8 @@ template <typename Exec, typename Rig>
 std::vector<ft::tracking> run(Exec const& exec, Rig const& of, ft::odometry_params const& p,
                               std::vector<stereo_frame> const& frames) {
   ft::odometry<Exec, Rig> odo(exec, of, p);
-  if (p.prefetch > 0) {
-    return test::track_prefetched(odo, frames.size(), period, [&](std::size_t i) {
-      return ft::stereo_images{test::room::view(frames[i].left), test::room::view(frames[i].right)};
-    });
-  }
-  std::vector<ft::tracking> all;
-  for (auto const& f : frames) {
-    all.push_back(odo.track({test::room::view(f.left), test::room::view(f.right)},
-                            period * static_cast<std::int64_t>(all.size() + 1)));
-  }
-  return all;
+  return test::track_all(odo, frames.size(), period,
+                         [&](std::size_t i) { return images_of(frames[i]); });
 }
 
 // ---- the rig ----------------------------------------------------------------------------------
@@ -140,14 +124,9 @@ TYPED_TEST(distorted_pair_odometry, refuses_a_lens_that_folds_in_either_image) {
   for (auto const side : {&rig_type::left, &rig_type::right}) {
     auto folded = rig();
     (folded.*side).distortion[0] = -5;
-    try {
-      odometry(backend.exec, folded, params());
-      ADD_FAILURE() << "accepted";
-    } catch (ft::bad_argument const& e) {
-      std::string const message = e.what();
-      EXPECT_NE(message.find("480 x 360"), std::string::npos) << message;
-      EXPECT_NE(message.find("must be at least 0.25"), std::string::npos) << message;
-    }
+    auto const said = test::refusal([&] { odometry(backend.exec, folded, params()); });
+    EXPECT_NE(said.find("480 x 360"), std::string::npos) << said;
+    EXPECT_NE(said.find("must be at least 0.25"), std::string::npos) << said;
   }
   // Of an image that ends before the fold, it is a lens like others.
   auto small = rig();
@@ -261,7 +240,7 @@ TYPED_TEST(distorted_pair_odometry, refuses_bad_input) {
   of.height = height;
   odometry odo(backend.exec, of, params());
   auto const& f = walk()[0];
-  ft::stereo_images const images{test::room::view(f.left), test::room::view(f.right)};
+  ft::stereo_images const images = images_of(f);
   EXPECT_THROW(odo.track(images, period), ft::bad_argument) << "not of the raw images' size";
   of.height = 0;
   EXPECT_THROW(odometry(backend.exec, of, params()), ft::bad_argument);

@@ -33,8 +33,7 @@ std::vector<ft::tracking> run_frames(Exec const& exec, std::vector<stereo_frame>
   p.prefetch = prefetch;
   ft::odometry<Exec> odo(exec, test::room::rig(), p, 1, ft::inertial{});
   auto const images_of = [&](int i) {
-    auto const& f = frames[static_cast<std::size_t>(i)];
-    return ft::stereo_images{test::room::view(f.left), test::room::view(f.right)};
+    return test::room::images_of(frames[static_cast<std::size_t>(i)]);
   };
   std::vector<ft::tracking> all;
   int samples = 0;
@@ -88,8 +87,7 @@ std::vector<ft::tracking> run_ahead(Exec const& exec, std::int64_t ahead_ns, dou
       s.time_ns += ahead_ns;
       odo.add_imu(s);
     }
-    all.push_back(
-        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period));
+    all.push_back(odo.track(images_of(f), (i + 1) * period));
   }
   return all;
 }
@@ -168,7 +166,7 @@ TYPED_TEST(inertial_odometry, says_that_an_imu_with_wrong_axes_is_not_used) {
       odo.add_imu(m);
     }
     auto const& f = walk()[static_cast<std::size_t>(i)];
-    last = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    last = odo.track(images_of(f), (i + 1) * period);
     EXPECT_LT(error_of(last, i), 0.02) << i;
     double const limit = ft::longest_unused_s(params().imu, true);
     EXPECT_EQ(warns_of_unused_imu(last), last.imu.unused_s > limit - 1e-6) << i;
@@ -236,7 +234,7 @@ TYPED_TEST(inertial_odometry, repeated_images_say_nothing_without_samples_either
   ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
   auto const track = [&](int i) {
     auto const& f = frames[static_cast<std::size_t>(i)];
-    return odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    return odo.track(images_of(f), (i + 1) * period);
   };
   ft::tracking t;
   for (int i = 0; i <= last_frozen; ++i) {
@@ -276,8 +274,7 @@ TYPED_TEST(inertial_odometry, tracks_repeated_images_of_a_camera_at_rest) {
       s.accel = narrow(mount().R.transposed() * vector{0, -gravity, 0} + accel_bias);
       odo.add_imu(s);
     }
-    auto const t =
-        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    auto const t = odo.track(images_of(f), (i + 1) * period);
     EXPECT_EQ(t.state, ft::tracking_state::tracking) << i;
     EXPECT_LT(error_of(t, 0), 0.01) << i;
     known = t.imu.known;
@@ -323,8 +320,7 @@ TYPED_TEST(inertial_odometry, works_without_samples) {
   ft::odometry odo(backend.exec, test::room::rig(), params(), 1, ft::inertial{});
   for (int i = 0; i < 12; ++i) {
     auto const& f = walk()[static_cast<std::size_t>(i)];
-    auto const t =
-        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    auto const t = odo.track(images_of(f), (i + 1) * period);
     EXPECT_EQ(t.state, ft::tracking_state::tracking) << i;
     EXPECT_FALSE(t.imu.known);
     EXPECT_EQ(t.imu.samples, ft::integration_status::no_samples);
@@ -348,8 +344,7 @@ TYPED_TEST(inertial_odometry, takes_samples_from_another_thread) {
     while (added < i) { std::this_thread::yield(); }
     frame = i;
     auto const& f = walk()[static_cast<std::size_t>(i)];
-    auto const t =
-        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    auto const t = odo.track(images_of(f), (i + 1) * period);
     auto const& w = want[static_cast<std::size_t>(i)];
     EXPECT_EQ(std::memcmp(&t.T_world_camera, &w.T_world_camera, sizeof t.T_world_camera), 0) << i;
   }
@@ -366,8 +361,7 @@ TYPED_TEST(inertial_odometry, a_gap_in_the_samples_harms_no_pose) {
       if (i < 30 || i >= 33) { odo.add_imu(sample_at(0.25 * k)); }
     }
     auto const& f = walk()[static_cast<std::size_t>(i)];
-    auto const t =
-        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    auto const t = odo.track(images_of(f), (i + 1) * period);
     EXPECT_EQ(t.state, ft::tracking_state::tracking) << i;
     EXPECT_LT(error_of(t, i), 0.02) << i;
     if (i == 29) { known = t.imu.known; }
@@ -387,7 +381,7 @@ TYPED_TEST(inertial_odometry, an_early_gap_delays_what_is_known_no_longer_than_i
       if (i < 12 || i >= 15) { odo.add_imu(sample_at(0.25 * k)); }
     }
     auto const& f = walk()[static_cast<std::size_t>(i)];
-    last = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    last = odo.track(images_of(f), (i + 1) * period);
     if (i < 20) { EXPECT_FALSE(last.imu.known) << i; }
   }
   EXPECT_TRUE(last.imu.known);
@@ -402,7 +396,7 @@ TYPED_TEST(inertial_odometry, cameras_of_a_batch_have_imus_of_their_own) {
   for (int i = 0; i < frame_count; ++i) {
     while (samples <= 4 * i) { odo.add_imu(sample_at(0.25 * samples++), 1); }
     auto const& f = walk()[static_cast<std::size_t>(i)];
-    ft::stereo_images const image{test::room::view(f.left), test::room::view(f.right)};
+    ft::stereo_images const image = images_of(f);
     ft::stereo_images const images[2] = {image, image};
     std::int64_t const times[2] = {(i + 1) * period, (i + 1) * period};
     ft::tracking const* const t = odo.track(images, times);
@@ -423,8 +417,7 @@ TYPED_TEST(inertial_odometry, begins_anew_after_a_reset) {
     for (int i = 0; i < frame_count; ++i) {
       while (samples <= 4 * i) { odo.add_imu(sample_at(0.25 * samples++)); }
       auto const& f = walk()[static_cast<std::size_t>(i)];
-      auto const t =
-          odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+      auto const t = odo.track(images_of(f), (i + 1) * period);
       auto const& w = want[static_cast<std::size_t>(i)];
       EXPECT_EQ(t.imu.known, w.imu.known) << i;
       EXPECT_EQ(std::memcmp(&t.imu.bias, &w.imu.bias, sizeof w.imu.bias), 0) << i;
@@ -474,7 +467,7 @@ TYPED_TEST(inertial_odometry, a_bad_sample_is_left_out_and_counted) {
       if (k % 30 == 25) { odo.add_imu(sample_at(0.25 * (k - 1))); }
     }
     auto const& f = walk()[static_cast<std::size_t>(i)];
-    last = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    last = odo.track(images_of(f), (i + 1) * period);
     EXPECT_EQ(last.state, ft::tracking_state::tracking) << i;
     EXPECT_LT(error_of(last, i), 0.02) << i;
   }
@@ -485,7 +478,7 @@ TYPED_TEST(inertial_odometry, a_bad_sample_is_left_out_and_counted) {
   odo.reset();
   odo.add_imu(sample_at(0));  // time begins anew
   auto const& f = walk().front();
-  last = odo.track({test::room::view(f.left), test::room::view(f.right)}, period);
+  last = odo.track(images_of(f), period);
   EXPECT_EQ(last.imu.left_out.disordered, 0);
 }
 
@@ -497,7 +490,7 @@ TYPED_TEST(inertial_odometry, times_of_images_and_samples_may_be_any) {
   p.imu.waiting = 8;
   ft::odometry odo(backend.exec, test::room::rig(), p, 1, ft::inertial{});
   auto const& f = walk().front();
-  ft::stereo_images const images{test::room::view(f.left), test::room::view(f.right)};
+  ft::stereo_images const images = images_of(f);
   for (int i = 0; i < 100; ++i) { odo.add_imu(sample_at(0.25 * i)); }  // a clock that is ahead
   for (std::int64_t const time : {least, least + 1, std::int64_t{-1}, std::int64_t{0}, most}) {
     auto const t = odo.track(images, time);

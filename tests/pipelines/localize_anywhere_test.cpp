@@ -6,45 +6,37 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
-#include <sstream>
 #include <string>
 #include <vector>
 
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/random.hpp"
 #include "tests/support/room.hpp"
 
 namespace localize_anywhere_test {
 
 using test::at;
+using test::load;
+using test::same;
+using test::saved;
 using test::room::stereo_frame;
 constexpr std::int64_t period = 50'000'000;
 constexpr int lap = 42;  ///< frames that make the map
 constexpr int seen = 2 * lap;
 
-/// Where the camera is after so many frames of the lap, camera to world: on a circle of 1.2 m,
-/// looking outwards. @param up metres above where it was mapped
+/// Where the camera is after so many frames of the lap. @param up metres above where it was mapped
 ft::pose pose_at(float frame, float up = 0) {
-  float const yaw = 6.2831853f * frame / lap;
-  float const c = std::cos(yaw), s = std::sin(yaw);
-  return {{{c, 0, s, 0, 1, 0, -s, 0, c}}, {0.6f * s, -up, 1.2f + 0.6f * c}};
+  ft::pose T_wc = test::room::on_lap(frame, lap);
+  T_wc.t.y = -up;
+  return T_wc;
 }
 template <typename Rig>
 stereo_frame see(Rig const& rig, unsigned room, ft::pose const& T_wc) {
   static std::vector<test::room::image> const walls[] = {test::room::make_walls(0),
                                                          test::room::make_walls(1)};
-  ft::pose const T_cw = T_wc.inverse();
-  if constexpr (Rig::rectified) {
-    ft::pose T_rw = T_cw;
-    T_rw.t.x -= rig.baseline_length().value;
-    return {test::room::render(rig.camera, walls[room], T_cw),
-            test::room::render(rig.camera, walls[room], T_rw), T_cw};
-  } else {
-    return {test::room::render(rig.left, walls[room], T_cw),
-            test::room::render(rig.right, walls[room], rig.T_rl * T_cw), T_cw};
-  }
+  return test::room::see(rig, walls[room], T_wc.inverse());
 }
 /// Two frames for each that made the map: that one, and one half way to the next, 5 cm above.
 float frame_of(int i) { return 0.5f * static_cast<float>(i); }
@@ -69,24 +61,10 @@ ft::odometry_params params(bool localize_only) {
   p.rules.localize_only = localize_only;
   return p;
 }
-bool same(ft::rigid<double> const& a, ft::rigid<double> const& b) {
-  return std::memcmp(&a, &b, sizeof a) == 0;
-}
 
 template <typename Odometry>
 ft::tracking track(Odometry& odo, stereo_frame const& f, std::int64_t time) {
-  return odo.track({test::room::view(f.left), test::room::view(f.right)}, time);
-}
-template <typename Odometry>
-std::string saved(Odometry const& odo) {
-  std::ostringstream to;
-  odo.save_map(to);
-  return to.str();
-}
-template <typename Odometry>
-void load(Odometry& odo, std::string const& map) {
-  std::istringstream file(map);
-  odo.load_map(file);
+  return odo.track(images_of(f), time);
 }
 /// The map of a lap and a little. @return its file
 template <typename Exec, typename Rig>

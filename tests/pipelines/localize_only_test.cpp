@@ -6,8 +6,6 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
-#include <sstream>
 #include <string>
 #include <vector>
 
@@ -15,12 +13,16 @@
 #include "ft/core/error.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/random.hpp"
 #include "tests/support/room.hpp"
 
 namespace localize_only_test {
 
 using test::at;
+using test::load;
+using test::same;
+using test::saved;
 using one_camera = ft::monocular_rig<ft::pinhole<float>>;
 constexpr std::int64_t period = 50'000'000;
 constexpr int mapped = 26;  ///< frames
@@ -40,26 +42,12 @@ std::vector<test::room::stereo_frame> const& walk(unsigned room) {
   return all[room];
 }
 auto images(ft::rectified_rig const&, test::room::stereo_frame const& f) {
-  return ft::stereo_images{test::room::view(f.left), test::room::view(f.right)};
+  return test::room::images_of(f);
 }
 auto images(one_camera const&, test::room::stereo_frame const& f) {
   return test::room::view(f.left);
 }
-bool same(ft::rigid<double> const& a, ft::rigid<double> const& b) {
-  return std::memcmp(&a, &b, sizeof a) == 0;
-}
 
-template <typename Odometry>
-std::string saved(Odometry const& odo) {
-  std::ostringstream to;
-  odo.save_map(to);
-  return to.str();
-}
-template <typename Odometry>
-void load(Odometry& odo, std::string const& map) {
-  std::istringstream file(map);
-  odo.load_map(file);
-}
 /// Frames of a room at times that go on. @return what is told of each
 template <typename Odometry>
 std::vector<ft::tracking> follow(Odometry& odo, unsigned room, int begin, int end,

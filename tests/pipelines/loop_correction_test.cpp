@@ -180,11 +180,7 @@ std::vector<test::room::stereo_frame> const& walk() {
       float const yaw = static_cast<float>(whole_turn * i / lap);
       float const c = std::cos(yaw), s = std::sin(yaw);
       ft::pose const T_wc{{{c, 0, s, 0, 1, 0, -s, 0, c}}, {0.6f * s, 0, 1.2f + 0.6f * c}};
-      ft::pose const T_cw = T_wc.inverse();
-      ft::pose T_rw = T_cw;
-      T_rw.t.x -= rig.baseline_length().value;
-      made.push_back({test::room::render(rig.camera, walls, T_cw),
-                      test::room::render(rig.camera, walls, T_rw), T_cw});
+      made.push_back(test::room::see(rig, walls, T_wc.inverse()));
     }
     return made;
   }();

@@ -6,19 +6,20 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <sstream>
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/random.hpp"
 #include "tests/support/room.hpp"
 
 namespace monocular_loops_test {
 
 using test::at;
+using test::same;
 using image = test::room::image;
 using rig_type = ft::monocular_rig<ft::pinhole<float>>;
 constexpr std::int64_t period = 50'000'000;
@@ -87,9 +88,6 @@ answers run(Odometry& odo, std::vector<image> const& images, int from = 0, int t
   }
   a.placed = odo.placed_keyframes();
   return a;
-}
-bool same(ft::rigid<double> const& a, ft::rigid<double> const& b) {
-  return std::memcmp(&a, &b, sizeof a) == 0;
 }
 double length(ft::vec3<double> const& v) { return std::sqrt(ft::dot(v, v)); }
 

@@ -21,6 +21,7 @@
 
 namespace multi_rig_odometry_test {
 
+using test::error_of;
 using test::room::at;
 using test::room::image;
 using namespace test::rigs;
@@ -52,23 +53,10 @@ std::vector<ft::tracking> follow(Exec const& exec, Rig const& rig,
   params.prefetch = prefetch;
   odometry_type odo(exec, rig, params);
   auto const images_of = views_of<odometry_type>;
-  constexpr std::int64_t period = 50'000'000;
-  if (prefetch > 0) {
-    return test::track_prefetched(odo, walk.size(), period,
-                                  [&](std::size_t i) { return images_of(walk[i]); });
-  }
-  std::vector<ft::tracking> all;
-  std::int64_t time = 0;
-  for (rig_frame const& f : walk) { all.push_back(odo.track(images_of(f), time += period)); }
-  return all;
+  return test::track_all(odo, walk.size(), 50'000'000,
+                         [&](std::size_t i) { return images_of(walk[i]); });
 }
 
-/// Distance of the body from its true place in the world of the first frame, metres.
-double error_of(ft::rigid<double> const& T, ft::pose const& now, ft::pose const& first) {
-  auto const T_0w = first.cast<double>();
-  auto const d = T.t - (T_0w * now.cast<double>().inverse()).t;
-  return std::sqrt(ft::dot(d, d));
-}
 double rms_of(std::vector<ft::tracking> const& seen, std::vector<rig_frame> const& walk) {
   double sum = 0;
   for (std::size_t f = 0; f < seen.size(); ++f) {
@@ -149,7 +137,7 @@ TYPED_TEST(multi_rig_odometry, goes_on_while_cameras_miss_images) {
     if (f > 0) { images.of[2] = images.of[3] = {}; }
     return images;
   };
-  auto const early = test::track_prefetched(ahead, walk.size(), 50'000'000, given);
+  auto const early = test::track_all(ahead, walk.size(), 50'000'000, given);
   std::int64_t time = 0;
   for (std::size_t f = 0; f < walk.size(); ++f) {
     time += 50'000'000;

@@ -23,11 +23,13 @@
 #include "tests/support/effort.hpp"
 #include "tests/support/memory.hpp"
 #include "tests/support/odometry_answers.hpp"
+#include "tests/support/refusals.hpp"
 #include "tests/support/room.hpp"
 #include "tests/support/room_features.hpp"
 
 namespace odometry_features_test {
 
+using test::error_of;
 using test::room::at;
 using test::room::copy_of;
 using test::room::features;
@@ -69,12 +71,8 @@ std::vector<ft::tracking> run(Exec const& exec, Rig const& rig, ft::odometry_par
 template <typename Exec>
 std::vector<ft::tracking> run_images(Exec const& exec, std::vector<stereo_frame> const& frames) {
   ft::odometry odo(exec, test::room::rig(), params(false));
-  std::vector<ft::tracking> all;
-  for (auto const& f : frames) {
-    all.push_back(
-        odo.track({test::room::view(f.left), test::room::view(f.right)}, time_of(all.size())));
-  }
-  return all;
+  return test::track_all(odo, frames.size(), time_of(0),
+                         [&](std::size_t i) { return images_of(frames[i]); });
 }
 
 /// All but what comes from images alone.
@@ -89,11 +87,6 @@ void expect_same_poses(std::vector<ft::tracking> const& given, std::vector<ft::t
   test::expect_same(given, images);
 }
 
-double error_of(ft::tracking const& t, stereo_frame const& now, stereo_frame const& first) {
-  auto const T_0w = first.T_cw.template cast<double>();
-  auto const d = t.T_world_camera.t - (T_0w * now.T_cw.template cast<double>().inverse()).t;
-  return std::sqrt(ft::dot(d, d));
-}
 void expect_tracked(std::vector<ft::tracking> const& all, std::vector<stereo_frame> const& frames,
                     double most) {
   for (std::size_t i = 0; i < all.size(); ++i) {
@@ -509,12 +502,7 @@ TYPED_TEST(odometry_features, refuses_what_it_cannot_take_and_goes_on) {
     auto copy = given[1];
     ft::given_features f = copy.without_partners();
     change(f, copy);
-    try {
-      odo.track(f, time_of(1));
-      ADD_FAILURE() << word;
-    } catch (ft::bad_argument const& e) {
-      EXPECT_NE(std::string(e.what()).find(word), std::string::npos) << e.what();
-    }
+    test::expect_refused([&] { odo.track(f, time_of(1)); }, word);
   };
   using given_type = ft::given_features;
   std::vector<ft::tracking> all{odo.track(given[0].without_partners(), time_of(0))};

@@ -19,17 +19,6 @@ namespace odometry_jumps_test {
 using test::room::stereo_frame;
 constexpr std::int64_t period = 50'000'000;
 
-stereo_frame see(ft::rectified_rig const& rig, std::vector<test::room::image> const& walls,
-                 test::motion const& T_wc) {
-  ft::pose const T_cw = T_wc.inverse().cast<float>();
-  ft::pose T_rw = T_cw;
-  T_rw.t.x -= rig.baseline_length().value;
-  return {test::room::render(rig.camera, walls, T_cw), test::room::render(rig.camera, walls, T_rw),
-          T_cw};
-}
-ft::stereo_images images_of(stereo_frame const& f) {
-  return {test::room::view(f.left), test::room::view(f.right)};
-}
 double distance(ft::vec3<double> a, ft::vec3<double> b) { return std::sqrt(ft::dot(a - b, a - b)); }
 
 template <typename Backend>
@@ -59,8 +48,9 @@ outcomes jump(Exec const& exec, int jumps, float most_m, float most_rad, bool wi
     float const share = 0.577f;  // of each axis
     test::motion const to = from * test::turn(vector(share * most_rad), vector(share * most_m));
     odometry.reset();
-    odometry.track(images_of(see(rig, walls, from)), period);
-    auto const t = odometry.track(images_of(see(rig, walls, to)), 2 * period);
+    odometry.track(images_of(test::room::see(rig, walls, from.inverse().cast<float>())), period);
+    auto const t = odometry.track(
+        images_of(test::room::see(rig, walls, to.inverse().cast<float>())), 2 * period);
     double const off = distance(t.T_world_camera.t, (from.inverse() * to).t);
     bool const tracked = t.state == ft::tracking_state::tracking;
     ++found.all;
@@ -110,7 +100,7 @@ TYPED_TEST(OdometryJumps, AreFollowedByWheels) {
   ft::tracking last;
   for (test::motion const& move : moves) {
     now = now * move;
-    auto const frame = see(rig, walls, now * T_base_camera);
+    auto const frame = test::room::see(rig, walls, (now * T_base_camera).inverse().cast<float>());
     auto const t =
         track_with_wheels(driven, last, images_of(frame), time += period, move, T_base_camera);
     last = t;

@@ -7,7 +7,6 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -16,36 +15,24 @@
 #include "ft/core/error.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/backends.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/random.hpp"
 #include "tests/support/room.hpp"
 
 namespace odometry_loops_test {
 
 using test::at;
+using test::same;
 using test::room::stereo_frame;
 constexpr std::int64_t period = 50'000'000;
 constexpr int lap = 42;
 constexpr int frames = lap + 12;
 
-/// Where the camera is in a frame, camera to world: on a circle of 1.2 m, looking outwards.
-ft::pose pose_at(int i) {
-  float const yaw = 6.2831853f * static_cast<float>(i) / lap;
-  float const c = std::cos(yaw), s = std::sin(yaw);
-  return {{{c, 0, s, 0, 1, 0, -s, 0, c}}, {0.6f * s, 0, 1.2f + 0.6f * c}};
-}
+ft::pose pose_at(int i) { return test::room::on_lap(static_cast<float>(i), lap); }
 template <typename Rig>
 stereo_frame see(Rig const& rig, int i) {
   static auto const walls = test::room::make_walls(0);
-  ft::pose const T_cw = pose_at(i).inverse();
-  if constexpr (Rig::rectified) {
-    ft::pose T_rw = T_cw;
-    T_rw.t.x -= rig.baseline_length().value;
-    return {test::room::render(rig.camera, walls, T_cw),
-            test::room::render(rig.camera, walls, T_rw), T_cw};
-  } else {
-    return {test::room::render(rig.left, walls, T_cw),
-            test::room::render(rig.right, walls, rig.T_rl * T_cw), T_cw};
-  }
+  return test::room::see(rig, walls, pose_at(i).inverse());
 }
 template <typename Rig>
 std::vector<stereo_frame> const& walk(Rig const& rig) {
@@ -78,16 +65,12 @@ answers run(Odometry& odo, Rig const& rig, int count = frames) {
   answers a;
   for (int i = 0; i < count; ++i) {
     auto const& f = walk(rig)[at(i)];
-    a.told.push_back(
-        odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period));
+    a.told.push_back(odo.track(images_of(f), (i + 1) * period));
     a.closed += a.told.back().loops_closed;
   }
   a.placed = odo.placed_keyframes();
   a.loops = odo.closed_loops();
   return a;
-}
-bool same(ft::rigid<double> const& a, ft::rigid<double> const& b) {
-  return std::memcmp(&a, &b, sizeof a) == 0;
 }
 /// How far the camera is from its place, metres. The world is the first frame's camera.
 double off(ft::rigid<double> const& T_world_camera, int i) {
@@ -241,9 +224,7 @@ TYPED_TEST(OdometryLoops, AResetOrALoadedMapForgetsThemAlsoDuringASearch) {
 template <typename Odometry, typename Rig>
 std::string saved_after(Odometry& odo, Rig const& rig, int count) {
   run(odo, rig, count);
-  std::stringstream file;
-  odo.save_map(file);
-  return file.str();
+  return test::saved(odo);
 }
 
 // Far from the newest keyframe, where a map without loops begins anew.
@@ -271,7 +252,7 @@ TYPED_TEST(OdometryLoops, ASavedMapIsFoundFromAnywhere) {
   constexpr int from = 2, to = lap / 2 - 2;
   for (int i = from; i < to; ++i) {
     auto const& f = walk(rig)[at(i)];
-    told = second.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    told = second.track(images_of(f), (i + 1) * period);
     closed += told.loops_closed;
   }
   EXPECT_EQ(told.maps, 2) << "found near the newest keyframe: this tests nothing";
@@ -301,7 +282,7 @@ TYPED_TEST(OdometryLoops, ItIsFoundInThreeFrames) {
     ft::tracking told;
     for (int i = from; i < from + 3; ++i) {
       auto const& f = walk(rig)[at(i)];
-      told = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+      told = odo.track(images_of(f), (i + 1) * period);
     }
     EXPECT_EQ(told.state, ft::tracking_state::tracking) << from;
     EXPECT_LT(off(told.T_world_camera, from + 2), 0.05) << from;
@@ -321,7 +302,7 @@ TYPED_TEST(OdometryLoops, ACameraInAnotherRoomIsNotFound) {
   ft::tracking told;
   for (int i = 0; i < given; ++i) {
     auto const& f = other[at(i)];
-    told = odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period);
+    told = odo.track(images_of(f), (i + 1) * period);
     EXPECT_EQ(told.loops_closed, 0) << i;
   }
   EXPECT_EQ(told.maps, 2);
@@ -345,7 +326,7 @@ TYPED_TEST(OdometryLoops, ASavedCorrectionIsThatOfThePrediction) {
   auto const last = [](odometry& odo, ft::rigid<double> const& T_world_camera) {
     odo.predict(T_world_camera);
     auto const& f = walk(odo.rig())[at(frames - 1)];
-    return odo.track({test::room::view(f.left), test::room::view(f.right)}, frames * period);
+    return odo.track(images_of(f), frames * period);
   };
   auto const T =
       pose_at(0).inverse().template cast<double>() * pose_at(frames - 1).template cast<double>();
@@ -401,7 +382,7 @@ TYPED_TEST(OdometryLoops, APredictionIsOneInTheWorld) {
                       pose_at(frames - 1).template cast<double>();
     if (predict) { odo.predict(a.told.back().T_world_camera * next); }
     auto const& f = walk(rig)[at(frames - 1)];
-    return odo.track({test::room::view(f.left), test::room::view(f.right)}, frames * period);
+    return odo.track(images_of(f), frames * period);
   };
   auto const d = after(true).T_world_camera.t - after(false).T_world_camera.t;
   EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-5);  // 2e-3 where it is one of the odometry

@@ -35,26 +35,15 @@ std::vector<stereo_frame> const& fisheye_walk() {
   static auto const frames = test::room::make_walk(test::room::fisheye(), 1, 12);
   return frames;
 }
-ft::stereo_images images_of(stereo_frame const& f) {
-  return {test::room::view(f.left), test::room::view(f.right)};
-}
 std::int64_t time_of(std::size_t i) { return period * static_cast<std::int64_t>(i + 1); }
 
 template <typename Exec, typename Rig>
 std::vector<ft::tracking> run(Exec const& exec, Rig const& rig,
-                              std::vector<stereo_frame> const& frames) {
-  ft::odometry<Exec, Rig> odo(exec, rig, params(0));
-  std::vector<ft::tracking> all;
-  for (auto const& f : frames) { all.push_back(odo.track(images_of(f), time_of(all.size()))); }
-  return all;
-}
-template <typename Exec, typename Rig>
-std::vector<ft::tracking> run_prefetched(Exec const& exec, Rig const& rig,
-                                         ft::odometry_params const& p,
-                                         std::vector<stereo_frame> const& frames) {
+                              std::vector<stereo_frame> const& frames,
+                              ft::odometry_params const& p = params(0)) {
   ft::odometry<Exec, Rig> odo(exec, rig, p);
-  return test::track_prefetched(odo, frames.size(), period,
-                                [&](std::size_t i) { return images_of(frames[i]); });
+  return test::track_all(odo, frames.size(), period,
+                         [&](std::size_t i) { return images_of(frames[i]); });
 }
 
 template <typename Backend>
@@ -68,17 +57,17 @@ TYPED_TEST(odometry_prefetch, changes_no_answer_of_a_rectified_pair) {
   for (int const ahead : {1, 2, 5}) {
     if (ahead == 2 && !test::whole_effort()) { continue; }  // below, launch by launch
     SCOPED_TRACE(std::to_string(ahead) + " frames ahead");
-    test::expect_same(run_prefetched(backend.exec, test::room::rig(), params(ahead), walk()), want);
+    test::expect_same(run(backend.exec, test::room::rig(), walk(), params(ahead)), want);
   }
   auto launches = params(2);
   launches.use_graphs = false;
   launches.measure_stages = true;
-  test::expect_same(run_prefetched(backend.exec, test::room::rig(), launches, walk()), want);
+  test::expect_same(run(backend.exec, test::room::rig(), walk(), launches), want);
 }
 
 TYPED_TEST(odometry_prefetch, changes_no_answer_of_two_fisheye_cameras) {
   TypeParam backend;
-  test::expect_same(run_prefetched(backend.exec, test::room::fisheye(), params(3), fisheye_walk()),
+  test::expect_same(run(backend.exec, test::room::fisheye(), fisheye_walk(), params(3)),
                     run(backend.exec, test::room::fisheye(), fisheye_walk()));
 }
 
@@ -284,8 +273,8 @@ TEST(OdometryPrefetchOnTheHost, SaysWhatMemoryItTook) {
 TEST(OdometryPrefetchParity, HostAndDeviceGiveTheSameBits) {
   if (!test::cuda_backend::available()) { GTEST_SKIP() << "no CUDA device"; }
   test::cuda_backend backend;
-  test::expect_same(run_prefetched(backend.exec, test::room::rig(), params(2), walk()),
-                    run_prefetched(ft::host_exec(), test::room::rig(), params(2), walk()));
+  test::expect_same(run(backend.exec, test::room::rig(), walk(), params(2)),
+                    run(ft::host_exec(), test::room::rig(), walk(), params(2)));
 }
 
 #endif

@@ -24,6 +24,7 @@
 
 namespace odometry_test {
 
+using test::error_of;
 using test::room::stereo_frame;
 constexpr std::int64_t period = 50'000'000;
 
@@ -38,27 +39,12 @@ std::vector<stereo_frame> const& walk(Rig const& rig, unsigned seed, std::size_t
   return w;
 }
 
-ft::stereo_images images_of(stereo_frame const& f) {
-  return {test::room::view(f.left), test::room::view(f.right)};
-}
-
-/// Distance of a pose from the true one, in the world of the first frame; metres.
-double error_of(ft::tracking const& t, stereo_frame const& now, stereo_frame const& first) {
-  auto const T_0w = first.T_cw.template cast<double>();
-  auto const T_wc = now.T_cw.template cast<double>().inverse();
-  auto const truth = (T_0w * T_wc).t;
-  auto const d = t.T_world_camera.t - truth;
-  return std::sqrt(ft::dot(d, d));
-}
-
 template <typename Exec, typename Rig>
 std::vector<ft::tracking> run(Exec const& exec, Rig const& rig, ft::odometry_params const& p,
                               std::vector<stereo_frame> const& frames) {
   ft::odometry<Exec, Rig> odo(exec, rig, p);
-  std::vector<ft::tracking> all;
-  std::int64_t time = 0;
-  for (auto const& f : frames) { all.push_back(odo.track(images_of(f), time += period)); }
-  return all;
+  return test::track_all(odo, frames.size(), period,
+                         [&](std::size_t i) { return images_of(frames[i]); });
 }
 
 template <typename Backend>

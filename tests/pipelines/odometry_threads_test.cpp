@@ -39,7 +39,7 @@ std::vector<ft::stereo_images> images_of(std::vector<test::room::stereo_frame> c
   std::vector<ft::stereo_images> images;
   for (int i = 0; i < frames; ++i) {
     auto const& f = walk[static_cast<std::size_t>(i > b ? i - b : 0)];
-    images.push_back({test::room::view(f.left), test::room::view(f.right)});
+    images.push_back(images_of(f));
   }
   return images;
 }
@@ -94,8 +94,7 @@ TEST(OdometryThreads, ASearchForLoopsDoesNotMeetTheFramesBesideIt) {
   for (int round = 0; round < 2; ++round) {
     for (int i = 0; i < 2 * frames; ++i) {
       auto const& f = walk[static_cast<std::size_t>(i < frames ? i : 2 * frames - 1 - i)];
-      closed += odo.track({test::room::view(f.left), test::room::view(f.right)}, (i + 1) * period)
-                    .loops_closed;
+      closed += odo.track(images_of(f), (i + 1) * period).loops_closed;
       if (round == 1 && i == frames) { return; }
     }
     EXPECT_GT(closed, 0);

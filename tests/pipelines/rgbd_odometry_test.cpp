@@ -17,10 +17,12 @@
 #include "tests/support/allocation_count.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/odometry_answers.hpp"
+#include "tests/support/refusals.hpp"
 #include "tests/support/room.hpp"
 
 namespace rgbd_odometry_test {
 
+using test::error_of;
 using test::room::at;
 using test::room::height;
 using test::room::image;
@@ -90,35 +92,14 @@ std::vector<rgbd_frame> const& walk(distorted_rig const& rig, unsigned = 0) {
   return w;
 }
 
-ft::odometry_params params() {
-  ft::odometry_params p;
-  p.orb = test::room::params().orb;
-  p.map_slots = 4096;
-  p.local_points = 2048;
-  p.keyframes = 20;
-  p.window_points = 2048;
-  return p;
-}
-
-double error_of(ft::tracking const& t, rgbd_frame const& now, rgbd_frame const& first) {
-  auto const T_0w = first.T_cw.template cast<double>();
-  auto const d = t.T_world_camera.t - (T_0w * now.T_cw.template cast<double>().inverse()).t;
-  return std::sqrt(ft::dot(d, d));
-}
+ft::odometry_params params() { return test::room::odometry_params(4096); }
 
 template <typename Exec, typename Rig>
 std::vector<ft::tracking> run(Exec const& exec, Rig const& rig, ft::odometry_params const& p,
                               std::vector<rgbd_frame> const& frames) {
   ft::odometry<Exec, Rig> odo(exec, rig, p);
-  if (p.prefetch > 0) {
-    return test::track_prefetched(odo, frames.size(), period,
-                                  [&](std::size_t i) { return frames[i].images(); });
-  }
-  std::vector<ft::tracking> all;
-  for (auto const& f : frames) {
-    all.push_back(odo.track(f.images(), period * static_cast<std::int64_t>(all.size() + 1)));
-  }
-  return all;
+  return test::track_all(odo, frames.size(), period,
+                         [&](std::size_t i) { return frames[i].images(); });
 }
 
 template <typename Backend>
@@ -326,12 +307,8 @@ TYPED_TEST(rgbd_odometry, images_of_16_bits_need_a_scale) {
   auto rig = plain();
   rig.depth_scale = plain_rig{}.depth_scale;  // none
   ft::odometry<typename TypeParam::exec_type, plain_rig> odo(backend.exec, rig, params());
-  try {
-    odo.track(walk(rig)[0].images(), period);
-    ADD_FAILURE() << "accepted";
-  } catch (ft::bad_argument const& e) {
-    EXPECT_NE(std::string(e.what()).find("needs rgbd_rig::depth_scale"), std::string::npos);
-  }
+  test::expect_refused([&] { odo.track(walk(rig)[0].images(), period); },
+                       "needs rgbd_rig::depth_scale");
   // Floats are metres.
   auto const t = odo.track(walk(rig)[0].images_in_metres(), period);
   EXPECT_EQ(t.state, ft::tracking_state::tracking);
@@ -341,10 +318,7 @@ TYPED_TEST(rgbd_odometry, images_of_16_bits_need_a_scale) {
 /// The message of a frame with a wrong image.
 template <typename Odometry, typename Images>
 std::string message_of(Odometry& odo, Images const& images) {
-  try {
-    odo.track(images, period);
-  } catch (ft::bad_argument const& e) { return e.what(); }
-  return {};
+  return test::refusal([&] { odo.track(images, period); });
 }
 
 TYPED_TEST(rgbd_odometry, messages_of_sizes_have_both_and_the_image) {
@@ -377,12 +351,8 @@ TYPED_TEST(rgbd_odometry, messages_of_sizes_have_both_and_the_image) {
   ft::stereo_images batch[2] = {{images.gray, images.gray}, {images.gray, images.gray}};
   batch[1].left.height = 1;
   std::int64_t const times[2] = {period, period};
-  try {
-    two.track(batch, times);
-    ADD_FAILURE() << "accepted";
-  } catch (ft::bad_argument const& e) {
-    EXPECT_STREQ(e.what(), "ft: the left image of camera pair 1 is 480x1, wanted 480x360");
-  }
+  EXPECT_EQ(test::refusal([&] { two.track(batch, times); }),
+            "ft: the left image of camera pair 1 is 480x1, wanted 480x360");
 }
 
 TYPED_TEST(rgbd_odometry, refuses_bad_rigs) {

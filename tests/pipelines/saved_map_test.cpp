@@ -25,11 +25,14 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/pipelines/odometry.hpp"
 #include "tests/support/effort.hpp"
+#include "tests/support/odometry_answers.hpp"
 #include "tests/support/random.hpp"
+#include "tests/support/refusals.hpp"
 
 namespace saved_map_test {
 
 using test::at;
+using test::saved;
 
 constexpr int width = 240;
 constexpr int height = 180;
@@ -88,11 +91,6 @@ constexpr int walked = 12;
 
 odometry made(ft::odometry_params const& p = params()) { return {ft::host_exec(1), rig(), p}; }
 
-std::string saved(odometry const& odo) {
-  std::ostringstream to;
-  odo.save_map(to);
-  return to.str();
-}
 std::string const& good() {
   static std::string const file = [] {
     odometry odo = made();
@@ -106,10 +104,7 @@ std::string const& good() {
 template <typename Odometry>
 std::string refusal(Odometry& odo, std::string const& file) {
   std::istringstream from(file);
-  try {
-    odo.load_map(from);
-  } catch (ft::error const& e) { return e.what(); }
-  return {};
+  return test::refusal<ft::error>([&] { odo.load_map(from); });
 }
 
 TEST(SavedMap, ASnapshotIsWrittenWhileTrackingGoesOn) {

@@ -4,11 +4,15 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <sstream>
+#include <string>
 #include <vector>
 
+#include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
 
 namespace test {
@@ -27,6 +31,23 @@ inline bool same(ft::tracking const& a, ft::tracking const& b) {
          std::memcmp(a.covariance, b.covariance, sizeof a.covariance) == 0;
 }
 
+inline bool same(ft::rigid<double> const& a, ft::rigid<double> const& b) {
+  return std::memcmp(&a, &b, sizeof a) == 0;
+}
+
+/// An odometry's map as a file.
+template <typename Odometry>
+std::string saved(Odometry const& odo) {
+  std::ostringstream to;
+  odo.save_map(to);
+  return to.str();
+}
+template <typename Odometry>
+void load(Odometry& odo, std::string const& map) {
+  std::istringstream from(map);
+  odo.load_map(from);
+}
+
 inline void expect_same(std::vector<ft::tracking> const& a, std::vector<ft::tracking> const& b) {
   ASSERT_EQ(a.size(), b.size());
   for (std::size_t i = 0; i < a.size(); ++i) {
@@ -36,19 +57,35 @@ inline void expect_same(std::vector<ft::tracking> const& a, std::vector<ft::trac
   }
 }
 
-/// Tracks frames whose images were all given as early as the odometry takes them.
+/// Tracks frames, whose images are all given as early as the odometry takes them.
 /// @param images_of images_of(i) of frame i, valid until the end
 template <typename Odometry, typename ImagesOf>
-std::vector<ft::tracking> track_prefetched(Odometry& odo, std::size_t frames, std::int64_t period,
-                                           ImagesOf const& images_of) {
+std::vector<ft::tracking> track_all(Odometry& odo, std::size_t frames, std::int64_t period,
+                                    ImagesOf const& images_of) {
   std::vector<ft::tracking> all;
   std::size_t given = 0;
   auto const ahead = static_cast<std::size_t>(odo.params().prefetch);
   for (std::size_t i = 0; i < frames; ++i) {
+    auto const time = period * static_cast<std::int64_t>(i + 1);
+    if (ahead == 0) {
+      all.push_back(odo.track(images_of(i), time));
+      continue;
+    }
     for (; given < frames && given < i + ahead; ++given) { odo.prefetch(images_of(given)); }
-    all.push_back(odo.track_prefetched(period * static_cast<std::int64_t>(i + 1)));
+    all.push_back(odo.track_prefetched(time));
   }
   return all;
+}
+
+/// How far the camera is from its place, metres. The world is the first frame's camera.
+inline double error_of(ft::rigid<double> const& T_world_camera, ft::pose const& now,
+                       ft::pose const& first) {
+  auto const d = T_world_camera.t - (first.cast<double>() * now.cast<double>().inverse()).t;
+  return std::sqrt(ft::dot(d, d));
+}
+template <typename Frame>
+double error_of(ft::tracking const& t, Frame const& now, Frame const& first) {
+  return error_of(t.T_world_camera, now.T_cw, first.T_cw);
 }
 
 }  // namespace test

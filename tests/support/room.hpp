@@ -12,6 +12,7 @@
 #include "ft/cameras/kannala_brandt.hpp"
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/pipelines/frame_tracker.hpp"
+#include "ft/types/images.hpp"
 #include "ft/types/tracking.hpp"
 #include "tests/support/backends.hpp"
 #include "tests/support/random.hpp"
@@ -128,6 +129,27 @@ struct stereo_frame {
   ft::pose T_cw;  ///< true
 };
 
+inline ft::stereo_images images_of(stereo_frame const& f) { return {view(f.left), view(f.right)}; }
+
+/// What a rig at T_cw sees.
+template <typename Rig>
+stereo_frame see(Rig const& rig, std::vector<image> const& walls, ft::pose const& T_cw) {
+  if constexpr (Rig::rectified) {
+    ft::pose T_rw = T_cw;
+    T_rw.t.x -= rig.baseline_length().value;
+    return {render(rig.camera, walls, T_cw), render(rig.camera, walls, T_rw), T_cw};
+  } else {
+    return {render(rig.left, walls, T_cw), render(rig.right, walls, rig.T_rl * T_cw), T_cw};
+  }
+}
+
+/// On a lap of so many frames, camera to world: on a circle of 1.2 m, looking outwards.
+inline ft::pose on_lap(float frame, int lap) {
+  float const yaw = 6.2831853f * frame / static_cast<float>(lap);
+  float const c = std::cos(yaw), s = std::sin(yaw);
+  return {{{c, 0, s, 0, 1, 0, -s, 0, c}}, {0.6f * s, 0, 1.2f + 0.6f * c}};
+}
+
 /// A short walk through the room of a seed.
 template <typename Rig>
 std::vector<stereo_frame> make_walk(Rig const& rig, unsigned seed, int frames) {
@@ -143,14 +165,7 @@ std::vector<stereo_frame> make_walk(Rig const& rig, unsigned seed, int frames) {
     ft::mat3<float> const about_x{{1, 0, 0, 0, cp, -sp, 0, sp, cp}};
     ft::pose const T_wc{about_y * about_x, {turn * 0.02f * step, -0.01f * step, 0.05f * step}};
     ft::pose const T_cw = T_wc.inverse();
-    if constexpr (Rig::rectified) {
-      ft::pose T_rw = T_cw;
-      T_rw.t.x -= rig.baseline_length().value;
-      walk.push_back({render(rig.camera, walls, T_cw), render(rig.camera, walls, T_rw), T_cw});
-    } else {
-      walk.push_back(
-          {render(rig.left, walls, T_cw), render(rig.right, walls, rig.T_rl * T_cw), T_cw});
-    }
+    walk.push_back(see(rig, walls, T_cw));
   }
   return walk;
 }

@@ -3,8 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -200,6 +202,34 @@ TEST_F(Node, BeginsAnewWhereTimesGoBack) {
   arrive(3, begin_ns - 4'000'000'000 + 3 * period_ns);  // swapped, not another run
   node->spin();
   EXPECT_EQ(poses().size(), 16u);
+}
+
+// One sample of a wrong time changes nothing, and a frame that waits is one of the run before.
+TEST_F(Node, BeginsAnewWithAnImu) {
+  make({{"use_imu", true}});
+  give_info();
+  sample(begin_ns);
+  node->spin();
+  auto const follow = [&](int first, int last, std::int64_t begin) {
+    for (int i = first; i < last; ++i) {
+      for (int k = 9; k >= 0; --k) { sample(begin + i * period_ns - k * 5'000'000); }
+      arrive(i, begin + i * period_ns);
+      node->spin();
+    }
+  };
+  follow(4, 9, begin_ns);
+  sample(begin_ns + 3'600'000'000'000);
+  follow(9, 11, begin_ns);
+  ASSERT_EQ(poses().size(), 7u);
+  auto const x = [&](std::size_t i) { return poses()[i].pose.pose.position.x; };
+  EXPECT_GT(std::abs(x(6)), std::abs(x(4)));
+  arrive(11, begin_ns + 11 * period_ns);
+  node->spin();
+  follow(4, 8, begin_ns - 4'000'000'000);
+  ASSERT_EQ(poses().size(), 12u);
+  EXPECT_GT(std::abs(x(7)), std::abs(x(6)));
+  EXPECT_NEAR(x(8), 0, 1e-9);
+  EXPECT_NEAR(x(11), x(3), 1e-3);
 }
 
 // The executor hands over one sample for each image, and an IMU may be later than its images.

@@ -62,7 +62,7 @@ public:
   /// @param time_ns later than that of the frame before, or a second before it or more, such as of
   /// a bag that is played again: all begins anew @throws std::runtime_error if it is not
   estimate track(std::uint8_t const* left, std::uint8_t const* right, std::int64_t time_ns) {
-    follow_clock(time_ns, frame_ns_);
+    follow_clock(time_ns);
     int const w = pair_.width;
     int const h = pair_.height;
     ft::tracking const t = odometry_.track({{{left, w, h, w}, {right, w, h, w}}}, time_ns);
@@ -100,7 +100,6 @@ public:
   /// Specific force and angular rate, before the first frame that is later.
   void add_imu(std::int64_t time_ns, std::array<double, 3> const& accel,
                std::array<double, 3> const& gyro) {
-    follow_clock(time_ns, sample_ns_);
     auto const narrowed = [](std::array<double, 3> const& v) {
       return ft::vec3<double>{v[0], v[1], v[2]}.cast<float>();
     };
@@ -108,22 +107,22 @@ public:
   }
 
 private:
-  /// Forgets all where times go back by a second or more. @param last the time before, of its kind
-  void follow_clock(std::int64_t time_ns, std::optional<std::int64_t>& last) {
-    if (last && time_ns <= *last - 1'000'000'000) {
+  /// Forgets all where the times of frames go back by a second or more. Those of samples decide
+  /// nothing: one of them may be wrong.
+  void follow_clock(std::int64_t time_ns) {
+    if (newest_ns_ && time_ns <= *newest_ns_ - 1'000'000'000) {
       odometry_.reset();
       base_.skip();
-      frame_ns_.reset();
-      sample_ns_.reset();
+      newest_ns_.reset();
       begun_anew_ = true;
     }
-    last = std::max(time_ns, last.value_or(time_ns));
+    newest_ns_ = std::max(time_ns, newest_ns_.value_or(time_ns));
   }
 
   rectified_pair pair_;
   base_frame base_;
   bool loops_ = false, begun_anew_ = false;
-  std::optional<std::int64_t> frame_ns_, sample_ns_;  ///< the newest
+  std::optional<std::int64_t> newest_ns_;  ///< of frames
   ft::any_odometry odometry_;
 };
 

@@ -138,6 +138,19 @@ TYPED_TEST(FrameWarnings, ImagesThatRepeatWhileTheCameraMoves) {
   }
 }
 
+// The images of a new map repeat before any motion is known: the next ones tell.
+TYPED_TEST(FrameWarnings, ImagesThatRepeatAtTheStart) {
+  TypeParam backend;
+  auto frames = walk(0);
+  frames.resize(6);
+  frames[1].left = frames[0].left;
+  frames[1].right = frames[0].right;
+  run const r = track(backend.exec, frames);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    EXPECT_EQ(r.all[i].warnings.has(warning::images_repeat), i >= 2) << i;
+  }
+}
+
 TYPED_TEST(FrameWarnings, ACameraAtRestRepeatsItsImages) {
   TypeParam backend;
   std::vector<stereo_frame> const frames(6, walk(0)[0]);
@@ -353,6 +366,21 @@ TEST(WarningsOfFrames, ADoubtAboutAPoseStaysForASecond) {
   EXPECT_TRUE(camera(t).has(warning::doubtful_pose));
   camera.first = true;
   EXPECT_TRUE(camera(good()).empty());
+}
+
+TEST(WarningsOfFrames, ImagesRepeatedIfTheNextOnesJump) {
+  ft::tracking same = good();
+  same.evidence.same = same.evidence.images;
+  same.evidence.facts.flowing = same.evidence.moved = 0;
+  ft::tracking slow = good();
+  slow.evidence.facts.flowing = slow.inliers / 2;
+  for (bool const jumps : {false, true}) {
+    judged camera;
+    EXPECT_TRUE(camera(good()).empty());
+    EXPECT_TRUE(camera(same).empty()) << "it may be at rest";
+    EXPECT_EQ(camera(jumps ? good() : slow).has(warning::images_repeat), jumps);
+    EXPECT_EQ(camera(good(), 1'000'000'001).has(warning::images_repeat), false);
+  }
 }
 
 // ---- an IMU that is not used

@@ -183,14 +183,18 @@ private:
     bool const all_same = e.images > 0 && e.same == e.images && e.textured > 0;
     vec3<double> const v = t.imu.velocity;
     bool const moves = e.facts.moving != 0 || (t.imu.known && dot(v, v) > 0.01);
+    // Nothing says that a map's first images repeat, until those after them have moved.
+    bool const moved = same_before_ && !all_same && 2 * e.facts.flowing > t.inliers;
+    same_before_ = all_same;
     repeats_ = all_same && (repeats_ || moves);
-    return repeats_ || (e.same > 0 && e.same < e.images && e.textured > 0);
+    return repeats_ || moved || (e.same > 0 && e.same < e.images && e.textured > 0);
   }
 
   idle_imu idle_;
   lasting_share errors_, disparities_;
   double usual_share_ = 0;
   bool repeats_ = false;
+  bool same_before_ = false;
   bool lost_before_ = false;
   std::int64_t said_ns_[tracking_warnings] = {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1};
 };

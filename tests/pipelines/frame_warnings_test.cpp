@@ -368,6 +368,18 @@ TEST(WarningsOfFrames, ADoubtAboutAPoseStaysForASecond) {
   EXPECT_TRUE(camera(good()).empty());
 }
 
+// The path is broken where a map begins: so are the motions across it.
+TEST(WarningsOfFrames, ANewMapIsToldForASecond) {
+  judged camera;
+  ft::tracking t = good();
+  t.maps = t.map_id = 2;
+  t.map_begun = true;
+  EXPECT_TRUE(camera(t).has(warning::new_map));
+  t.map_begun = false;
+  EXPECT_TRUE(camera(t, 1'000'000'000).has(warning::new_map));
+  EXPECT_TRUE(camera(t, 1).empty());
+}
+
 TEST(WarningsOfFrames, ImagesRepeatedIfTheNextOnesJump) {
   ft::tracking same = good();
   same.evidence.same = same.evidence.images;

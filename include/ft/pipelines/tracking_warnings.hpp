@@ -167,7 +167,7 @@ public:
       usual_share_ += gain * (e.stereo_share - usual_share_);
     }
     for (tracking_warning const w :
-         {tracking_warning::doubtful_pose, tracking_warning::two_motions,
+         {tracking_warning::new_map, tracking_warning::doubtful_pose, tracking_warning::two_motions,
           tracking_warning::images_repeat, tracking_warning::stereo_inconsistent,
           tracking_warning::blurred}) {
       auto& said = said_ns_[static_cast<int>(w)];
@@ -230,7 +230,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
                             number(t.light.deviation);
   switch (w) {
     case tracking_warning::new_map:
-      return "map " + std::to_string(t.map_id) + " begins at a guessed place";
+      return "map " + std::to_string(t.map_id) +
+             " begins at a guessed place, in this frame or in the last second";
     case tracking_warning::doubtful_pose:
       return std::to_string(t.inliers) + " of " + std::to_string(t.local_points) +
              " map points agree with the pose, " + std::to_string(f.evidence) + " bits of " +

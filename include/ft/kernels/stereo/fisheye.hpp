@@ -122,21 +122,24 @@ private:
   template <typename Group>
   FT_HOST_DEVICE static two_nearest nearest(Group g, descriptor const& mine,
                                             keypoints_view const& right, int begin, int end) {
-    // Keypoints per thread whose loads are in flight together.
-    constexpr int together = Group::max_threads == 1 ? 1 : 8;
     two_nearest best;
-    FT_NO_UNROLL
-    for (int base = begin + g.rank(); base - g.rank() < end; base += together * g.size()) {
-      descriptor theirs[together];
-      FT_UNROLL
-      for (int n = 0; n < together; ++n) {
-        theirs[n] = right.orb(min_of(base + n * g.size(), end - 1));
-      }
-      FT_UNROLL
-      for (int n = 0; n < together; ++n) {
-        int const j = base + n * g.size();
-        int const distance = search_distance_by_adders(mine, theirs[n]);
-        best.add(j < end ? distance : best.none, j);
+    if constexpr (Group::max_threads == 1) {
+      for (int j = begin; j < end; ++j) { best.add(search_distance(mine, right.orb(j)), j); }
+    } else {
+      constexpr int together = 8;  // keypoints per thread whose loads are in flight
+      FT_NO_UNROLL
+      for (int base = begin + g.rank(); base - g.rank() < end; base += together * g.size()) {
+        descriptor theirs[together];
+        FT_UNROLL
+        for (int n = 0; n < together; ++n) {
+          theirs[n] = right.orb(min_of(base + n * g.size(), end - 1));
+        }
+        FT_UNROLL
+        for (int n = 0; n < together; ++n) {
+          int const j = base + n * g.size();
+          int const distance = search_distance_by_adders(mine, theirs[n]);
+          best.add(j < end ? distance : best.none, j);
+        }
       }
     }
     return best.merged(g);

@@ -114,7 +114,7 @@ private:
   };
 
   /// Calls `run` for disjoint ranges that cover [0, items).
-  void run_ranges(int items, range_function run, void const* context) const {
+  FT_OUT_OF_LINE void run_ranges(int items, range_function run, void const* context) const {
     if (threads_ == 1 || items <= 1) {
       run(context, 0, items > 0 ? items : 0);
       return;

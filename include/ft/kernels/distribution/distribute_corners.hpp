@@ -172,13 +172,18 @@ struct distribute_level {
     }
     corner* const kept = v.kept + at.image * layout.total + layout.first[at.level];
     wanted_nodes const wanted{layout, at.level, v.wanted(at.image, at.level)};
+    bool in_scratch = false;
     int size = 0;
-    if (n <= memory.points && wanted.most() <= quadtree::scratch_nodes) {
-      auto t = tree_in_scratch(g, s, n);
-      t.points = list;
-      size = make_nodes(g, s, t, points, wanted);
-      keep_strongest(g, t, size, corners.layout.order_of(at.level), kept);
-    } else {
+    if constexpr (Group::max_threads > 1) {  // one thread has no scratch of that kind
+      in_scratch = n <= memory.points && wanted.most() <= quadtree::scratch_nodes;
+      if (in_scratch) {
+        auto t = tree_in_scratch(g, s, n);
+        t.points = list;
+        size = make_nodes(g, s, t, points, wanted);
+        keep_strongest(g, t, size, corners.layout.order_of(at.level), kept);
+      }
+    }
+    if (!in_scratch) {
       auto t = tree_in_workspace(s, n, at, corners, v);
       t.points = list;
       size = make_nodes(g, s, t, quadtree::held_points<0>{}, wanted);
@@ -301,11 +306,13 @@ void distribute_in(Exec const& exec, level_memory memory, corners_view const& co
                    distribution_view const& out) {
   using shape = per_block<quadtree::threads>;
   int const items = out.batch * out.layout.levels;
-  if (memory.has_more_bins()) {
-    for_each_item<shape>(exec, items, distribute_level<true, Ties>{memory}, corners, out);
-  } else {
-    for_each_item<shape>(exec, items, distribute_level<false, Ties>{memory}, corners, out);
+  if constexpr (Exec::space == memory_space::device) {
+    if (memory.has_more_bins()) {
+      for_each_item<shape>(exec, items, distribute_level<true, Ties>{memory}, corners, out);
+      return;
+    }
   }
+  for_each_item<shape>(exec, items, distribute_level<false, Ties>{memory}, corners, out);
 }
 
 }  // namespace detail

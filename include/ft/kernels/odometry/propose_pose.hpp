@@ -24,7 +24,6 @@ namespace detail {
 /// Item: a camera.
 template <typename Rig>
 struct propose_pose {
-  static constexpr bool wide_on_host = true;
   using scratch = no_scratch;
 
   template <typename Group>

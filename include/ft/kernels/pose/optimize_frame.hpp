@@ -48,7 +48,6 @@ namespace detail {
 /// One item: a frame. Gathers the observations, optimises the pose and releases outliers.
 template <typename Rig>
 struct optimize_frame {
-  static constexpr bool wide_on_host = true;
   struct scratch {
     pose_scratch pose;
     int number[prepared_observations::size];  ///< keypoint number of an observation

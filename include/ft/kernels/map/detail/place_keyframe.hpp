@@ -33,7 +33,6 @@ struct place_scratch {
 /// the rest.
 template <typename Rig>
 struct place_keyframe {
-  static constexpr bool wide_on_host = true;
   using scratch = place_scratch;
   using input = keyframe_input<Rig>;
   static constexpr int chosen = -2;  ///< holder of a keypoint that is to become a point

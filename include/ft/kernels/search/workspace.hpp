@@ -105,8 +105,8 @@ FT_HOST_DEVICE bool find_windows(Group g, int item, typename Windows::search con
 /// the group make every call. A thread without a keypoint in a step passes -1.
 /// @tparam Group one thread or a warp
 template <typename Group, typename Visit>
-FT_HOST_DEVICE void visit_cells(Group g, search_window const& w, feature_grid_view const& grid,
-                                Visit const& visit) {
+FT_HOST_DEVICE FT_INLINE void visit_cells(Group g, search_window const& w,
+                                          feature_grid_view const& grid, Visit const& visit) {
   cell_window const cells = cell_window::of(grid.geometry, w.x, w.y, w.radius);
   if (cells.y0 > cells.y1) { return; }
   int const columns = cells.x1 - cells.x0 + 1;

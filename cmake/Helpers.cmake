@@ -78,6 +78,14 @@ function(ft_target_defaults target)
   set_target_properties(${target} PROPERTIES CXX_EXTENSIONS OFF CUDA_EXTENSIONS OFF)
 endfunction()
 
+# ft_collect_less(target): g++ collects its garbage from half a gigabyte on, not from 128 MB: a tenth of the time of a unit
+# that takes about as much memory anyhow.
+function(ft_collect_less target)
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+    target_compile_options(${target} PRIVATE "$<$<COMPILE_LANGUAGE:CXX>:SHELL:--param ggc-min-heapsize=524288>")
+  endif()
+endfunction()
+
 # ft_compile_fast(target): with FT_FAST_COMPILE, for C++ that runs for no longer than it is compiled. -Og still warns of what
 # its passes see, and is no slower to compile than -O0.
 function(ft_compile_fast target)

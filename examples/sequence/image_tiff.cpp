@@ -170,7 +170,7 @@ tiff_samples read_stored(std::string const& path, tiff_memory const& m, tiff_fil
   auto const sample = [&](std::size_t i) -> unsigned {
     return l.bits == 16 ? row[i] : reinterpret_cast<std::uint8_t const*>(row.data())[i];
   };
-  unsigned const largest = (1U << l.bits) - 1;
+  unsigned const brightest = (1U << l.bits) - 1;
   for (std::uint16_t plane = 0; plane < (l.planes ? channels : 1); ++plane) {
     for (std::uint32_t y = 0; y < l.height; ++y) {
       if (TIFFReadScanline(file.get(), row.data(), y, plane) != 1) { fail_damaged(path, m); }
@@ -180,7 +180,7 @@ tiff_samples read_stored(std::string const& path, tiff_memory const& m, tiff_fil
         for (std::size_t c = plane; c < (l.planes ? plane + 1U : channels); ++c) {
           unsigned const v = sample(x * stored + (l.planes ? 0 : c));
           bool const inverted = l.colours == PHOTOMETRIC_MINISWHITE;
-          to[x * channels + c] = static_cast<std::uint16_t>(inverted ? largest - v : v);
+          to[x * channels + c] = static_cast<std::uint16_t>(inverted ? brightest - v : v);
         }
       }
     }

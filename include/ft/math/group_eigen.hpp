@@ -79,15 +79,27 @@ private:
     }
     if (!g.any(turned)) { return false; }
     g.sync();
-    int const blocks = count * (count + 1) / 2;
-    int const items = blocks + n * count;
-    small_divider const by_rows(n);
-    for (int item = g.rank(); item < items; item += g.size()) {
-      if (item < blocks) {
-        turn_block(n, item);
-      } else {
-        int const k = by_rows(item - blocks);
-        turn_vector(n, k, item - blocks - n * k);
+    if constexpr (Group::max_threads == 1) {
+      for (int j = 0; j < count; ++j) {
+        for (int i = 0; i <= j; ++i) { turn_block(n, i, j); }
+      }
+      for (int k = 0; k < count; ++k) {
+        for (int row = 0; row < n; ++row) { turn_vector(n, k, row); }
+      }
+    } else {
+      int const blocks = count * (count + 1) / 2;
+      int const items = blocks + n * count;
+      small_divider const by_rows(n);
+      for (int item = g.rank(); item < items; item += g.size()) {
+        if (item < blocks) {
+          int j = 0;
+          int before = 0;  // blocks of columns before j
+          for (; before + j + 1 <= item; ++j) { before += j + 1; }
+          turn_block(n, item - before, j);
+        } else {
+          int const k = by_rows(item - blocks);
+          turn_vector(n, k, item - blocks - n * k);
+        }
       }
     }
     return true;
@@ -110,11 +122,7 @@ private:
   }
   /// The four entries where the rows of one pair and the columns of another one meet, and their
   /// mirror images.
-  FT_HOST_DEVICE void turn_block(int n, int item) {
-    int j = 0;
-    int before = 0;  // blocks of columns before j
-    for (; before + j + 1 <= item; ++j) { before += j + 1; }
-    int const i = item - before;
+  FT_HOST_DEVICE void turn_block(int n, int i, int j) {
     int const p = first[i];
     int const q = second[i];
     if (i == j) {

@@ -447,9 +447,9 @@ def scenario_rows(file="scenarios_h200.json", missing_alone=False):
 def beside_cuvslam():
     """Of bench/peers/beside_cuvslam.py."""
     records = json.loads((RESULTS / "beside_cuvslam_h200.json").read_text())["records"]
-    commits = " and ".join(r["commit"] for r in records)
+    commits = ("commits " if len(records) > 1 else "commit ") + " and ".join(r["commit"] for r in records)
     lines = [
-        f"{records[0]['machine']['gpu']}; {records[-1]['date']}, commits {commits}.",
+        f"{records[0]['machine']['gpu']}; {records[-1]['date']}, {commits}.",
         "",
         "| frames | of them every | ATE, mm: ft | cuVSLAM, 3 runs | adjusting within frames | RPE of a frame, mm: ft, cuVSLAM | ms: ft p50, p99 | cuVSLAM |",
         "|---|---:|---:|---:|---:|---:|---:|---:|",

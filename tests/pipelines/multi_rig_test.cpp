@@ -209,7 +209,7 @@ TYPED_TEST(multi_rig, a_batch_gives_what_its_rigs_give_alone) {
   std::vector<std::vector<rig_frame>> walks;
   for (unsigned seed = 0; seed < 3; ++seed) { walks.push_back(make_walk(rig, seed, 3)); }
   // On a device, images of nine rigs are uploaded in parts.
-  for (std::size_t const batch : {3, 9}) {
+  for (std::size_t const batch : {3u, 9u}) {
     std::vector<std::vector<rig_frame> const*> of;
     for (std::size_t b = 0; b < batch; ++b) { of.push_back(&walks[b % 3]); }
     auto const together = track(backend.exec, rig, of);

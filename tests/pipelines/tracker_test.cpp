@@ -600,7 +600,7 @@ TYPED_TEST(frame_tracker_test, a_moved_tracker_goes_on) {
 TYPED_TEST(frame_tracker_test, a_batch_is_that_many_trackers) {
   auto const& exec = this->exec();
   // On a device, images of nine cameras are uploaded in parts.
-  for (std::size_t const batch : {3, 9}) {
+  for (std::size_t const batch : {3u, 9u}) {
     typename TestFixture::tracker_type tracker(exec, rig(), params(), static_cast<int>(batch));
     std::vector<decltype(&walk(0))> walks;
     for (unsigned b = 0; b < batch; ++b) { walks.push_back(&walk(b % 3)); }

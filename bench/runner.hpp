@@ -122,7 +122,7 @@ public:
   /// frame_options::measure_stages.
   virtual std::vector<stage_us> stage_times(int i) = 0;
   /// Both need frame_options::use_graphs to be off: they capture the launches that the recorded
-  /// graph has.
+  /// graph has, of a batch as if its images were uploaded at once.
   virtual graph_counts graph() = 0;
   virtual std::vector<kernel_facts> kernels() = 0;
 };

@@ -44,7 +44,8 @@ void find_in_part(Exec const& exec, ft::detail::extraction<Exec> const& whole, i
 /// Everything that an image yields.
 struct found {
   int count = 0, mono = 0;
-  std::vector<float> x, y, angle;
+  std::vector<float> x, y, angle, response;
+  std::vector<int> octave;
   std::vector<ft::descriptor> orb;
   std::vector<int> starts;  ///< of the grid's cells
 };
@@ -67,6 +68,8 @@ std::vector<found> all_of(Exec const& exec, ft::orb_extractor<Exec> const& e,
     f.x = first(test::column<ft::field::x>(exec, k));
     f.y = first(test::column<ft::field::y>(exec, k));
     f.angle = first(test::column<ft::field::angle>(exec, k));
+    f.response = first(test::column<ft::field::response>(exec, k));
+    f.octave = first(test::column<ft::field::octave>(exec, k));
     f.orb = first(test::column<ft::field::orb>(exec, k));
     f.starts = test::from_exec(exec, static_cast<int const*>(cells.slice(i).start),
                                static_cast<std::size_t>(cells.geometry.cells() + 1));
@@ -111,11 +114,13 @@ TYPED_TEST(extractor_parts, give_what_the_whole_gives) {
   auto const seen = all_of(exec, other, in_parts.view());
   for (std::size_t i = 0; i < images; ++i) {
     SCOPED_TRACE("image " + std::to_string(i));
-    EXPECT_EQ(seen[i].count, expected[i].count);
+    ASSERT_EQ(seen[i].count, expected[i].count);
     EXPECT_EQ(seen[i].mono, expected[i].mono);
     EXPECT_EQ(seen[i].x, expected[i].x);
     EXPECT_EQ(seen[i].y, expected[i].y);
     EXPECT_EQ(seen[i].angle, expected[i].angle);
+    EXPECT_EQ(seen[i].response, expected[i].response);
+    EXPECT_EQ(seen[i].octave, expected[i].octave);
     EXPECT_EQ(seen[i].starts, expected[i].starts);
     EXPECT_TRUE(std::equal(seen[i].orb.begin(), seen[i].orb.end(), expected[i].orb.begin(),
                            [](auto const& a, auto const& b) { return ft::hamming(a, b) == 0; }));

@@ -204,7 +204,8 @@ TEST_F(Node, BeginsAnewWhereTimesGoBack) {
   EXPECT_EQ(poses().size(), 16u);
 }
 
-// One sample of a wrong time changes nothing, and a frame that waits is one of the run before.
+// One sample of a wrong time does not begin all anew, and a frame that waits is one of the run
+// before.
 TEST_F(Node, BeginsAnewWithAnImu) {
   make({{"use_imu", true}});
   give_info();

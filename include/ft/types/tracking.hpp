@@ -54,10 +54,11 @@ struct image_light {
 
 /// What is to be told of a frame, whether it is tracked or not.
 enum class tracking_warning : int {
-  new_map,              ///< a later map begins, at a guessed place
+  new_map,              ///< a later map begins, or has in the last second, at a guessed place
   doubtful_pose,        ///< few keypoints agree with the pose: it may be another one
   two_motions,          ///< things move, or are fixed to a camera, in a large part of the images
-  images_repeat,        ///< images are those of the frame before while the camera moves
+  images_repeat,        ///< images are those of the frame before while the camera moves, or were
+                        ///< and the next ones jump
   stereo_inconsistent,  ///< depths do not agree with the map, hardly any keypoint has one, or the
                         ///< scene repeats along the rows, so that they may be others
   depth_scale,          ///< most depths are beyond distant_baselines

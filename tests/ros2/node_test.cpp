@@ -270,6 +270,8 @@ TEST_F(Node, MakesNoPathThatNobodyReads) {
 
 TEST_F(Node, RefusesAnUnknownDevice) {
   EXPECT_THROW(make({{"device", std::string("gpu")}}), std::runtime_error);
+  EXPECT_THROW(make({{"max_time_difference", -0.001}}), std::runtime_error);
+  EXPECT_THROW(make({{"max_time_difference", std::nan("")}}), std::runtime_error);
 }
 
 }  // namespace ros2_node_test

@@ -114,8 +114,12 @@ private:
     settings_.threads = static_cast<int>(declare_parameter("threads", std::int64_t{0}));
     settings_.loops = declare_parameter("loops", false);
     settings_.gpu = is_gpu(declare_parameter<std::string>("device", "host"));
-    max_apart_ns_ =
-        static_cast<std::int64_t>(1e9 * declare_parameter("max_time_difference", 0.005));
+    double const apart_s = declare_parameter("max_time_difference", 0.005);
+    if (!(apart_s >= 0 && apart_s <= 1)) {
+      throw std::runtime_error("max_time_difference is " + std::to_string(apart_s) +
+                               " s, must be in [0, 1]");
+    }
+    max_apart_ns_ = static_cast<std::int64_t>(1e9 * apart_s);
     use_imu_ = declare_parameter("use_imu", false);
     imu_.gyro_noise = declare_parameter("gyro_noise", imu_.gyro_noise);
     imu_.accel_noise = declare_parameter("accel_noise", imu_.accel_noise);

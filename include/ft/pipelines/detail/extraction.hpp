@@ -10,6 +10,7 @@
 #include "ft/containers/frame_arrivals.hpp"
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/keypoints.hpp"
+#include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/recording.hpp"
@@ -158,10 +159,10 @@ public:
     rigs_ = rigs;
     // Below eight rigs the launches of more parts cost what is gained; above eight parts little is.
     int const count = Exec::asynchronous && recorded && rigs >= 8 ? min_of(rigs / 2, 8) : 1;
-    branches_ = std::vector<side_branch<Exec>>(static_cast<std::size_t>(count));
+    branches_ = std::vector<side_branch<Exec>>(count > 1 ? static_cast<std::size_t>(count) : 0);
     for (auto& b : branches_) { b.make(); }
   }
-  int count() const { return static_cast<int>(branches_.size()); }
+  int count() const { return max_of(static_cast<int>(branches_.size()), 1); }
   /// First image of part k; of k = count() the number of images.
   int first(int k) const { return images_ * (k * rigs_ / count()); }
   side_branch<Exec>& branch(int k) { return branches_[static_cast<std::size_t>(k)]; }

@@ -132,7 +132,7 @@ struct facts_of {
                                  ft::pose const* last, ft::pose const* uncorrected,
                                  ft::pyramid_geometry const& geometry, ft::frame_facts* out) const {
     ft::frame_facts const f = ft::detail::weigh_observations(g, s, 0, rig, of, *T_cw, *last,
-                                                             *uncorrected, geometry, 0.0f);
+                                                             *uncorrected, geometry, 0.0f, nullptr);
     if (g.rank() == 0) { *out = f; }
   }
 };

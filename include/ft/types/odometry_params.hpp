@@ -142,8 +142,13 @@ struct odometry_params {
   imu_params imu;                  ///< present or not; see inertial
   loop_params loops;               ///< present or not; see ft::loops
   bool own_features = false;       ///< keypoints of the caller are tracked; see ft::own_features
-  bool use_graphs = true;          ///< replay recorded graphs; false: enqueue each launch
-  bool measure_stages = false;     ///< record stage_times()
+  /// Keypoints that hold map points are moved to where the image looks as it did when the point was
+  /// new, which halves the error of a motion over a frame; see align_keypoints(). Not done with
+  /// rolling shutters, with distorted images of a camera with depths, and with features of the
+  /// caller, whose positions are not those of the images.
+  bool align_keypoints = true;
+  bool use_graphs = true;       ///< replay recorded graphs; false: enqueue each launch
+  bool measure_stages = false;  ///< record stage_times()
   /// Frames whose images odometry::prefetch() may take ahead of their tracking, up to 64. Each
   /// takes the memory of its images and keypoints, and on the host a thread. 0 for a monocular_rig
   int prefetch = 0;

@@ -15,6 +15,7 @@
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pose/detail/reprojection.hpp"
+#include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/pose/pose_problem.hpp"
 #include "ft/kernels/search/frustum.hpp"
 #include "ft/types/poses.hpp"
@@ -52,16 +53,19 @@ struct error_blocks {
   static constexpr int blocks = sets * columns * rows;
   int x[blocks], y[blocks];  ///< sums of errors, 1 / 16 standard deviations
   int squares[blocks];       ///< sum of their squares, of both directions
+  int moves[blocks];         ///< sum of the squares of how far keypoints were moved
   int count[blocks];
 
   template <typename Group>
   FT_HOST_DEVICE void clear(Group g) {
-    for (int i = g.rank(); i < blocks; i += g.size()) { x[i] = y[i] = squares[i] = count[i] = 0; }
+    for (int i = g.rank(); i < blocks; i += g.size()) {
+      x[i] = y[i] = squares[i] = moves[i] = count[i] = 0;
+    }
     g.sync();
   }
-  /// @param e error in standard deviations @param o where
-  FT_HOST_DEVICE void add(observation const& o, strict_float ex, strict_float ey, int width,
-                          int height) {
+  /// @param e error in standard deviations @param o where @param move square of the keypoint's
+  FT_HOST_DEVICE void add(observation const& o, strict_float ex, strict_float ey, float move,
+                          int width, int height) {
     int const column = clamp(static_cast<int>(o.u) * columns / max_of(width, 1), 0, columns - 1);
     int const row = clamp(static_cast<int>(o.v) * rows / max_of(height, 1), 0, rows - 1);
     int const i = (o.camera % sets * rows + row) * columns + column;
@@ -69,10 +73,13 @@ struct error_blocks {
     atomic_add(x + i, dx);
     atomic_add(y + i, dy);
     atomic_add(squares + i, dx * dx + dy * dy);
+    if (move > 0) { atomic_add(moves + i, static_cast<int>(256.0f * move)); }
     atomic_add(count + i, 1);
   }
   /// How much of the errors' variance is common to neighbours: the mean of the products of the
-  /// errors of two inliers of a block, by the mean of their squares, in 1 / 1024. The errors of a
+  /// errors of two inliers of a block, by the mean of their squares, in 1 / 1024. The squares are
+  /// those where corners were found: of keypoints that were moved since, what little is left may be
+  /// common. The errors of a
   /// right pose are those of keypoints, of which each has its own: 0, give or take one by the root
   /// of the number of pairs. 0 where there are too few pairs to tell a quarter with four standard
   /// deviations. After a barrier behind add(); `g` may be a part of the group that has added.
@@ -80,9 +87,9 @@ struct error_blocks {
   FT_HOST_DEVICE int common(Group g) const {
     std::int64_t products = 0, all = 0, pairs = 0;
     for (int i = g.rank(); i < blocks; i += g.size()) {
-      std::int64_t const sx = x[i], sy = y[i], n = count[i];
+      std::int64_t const sx = x[i], sy = y[i], n = count[i], moved = moves[i];
       products += sx * sx + sy * sy - squares[i];
-      all += (n - 1) * squares[i];
+      all += (n - 1) * (squares[i] + moved);
       pairs += n * (n - 1) / 2;
     }
     products = g.reduce(products, sum_op{});
@@ -106,13 +113,13 @@ struct facts_scratch {
 /// What the observations of the last pose say. All threads of a group call.
 /// @param last pose of the last frame @param uncorrected T_cw as it would be without the adjustment
 /// that ended with this frame @param geometry of the images
-/// @param disparity_root as in pose_limits
+/// @param disparity_root as in pose_limits @param moves of the keypoints, as in weighed_frames
 template <typename Group, typename Rig>
 FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, Rig const& rig,
                                               observations_view const& in, pose const& T_cw,
                                               pose const& last, pose const& uncorrected,
                                               pyramid_geometry const& geometry,
-                                              float disparity_root) {
+                                              float disparity_root, float const* moves) {
   using real = strict_float;  // an eighth of a pixel is wanted
   auto const now = T_cw.template cast<real>();
   auto const before = last.template cast<real>();
@@ -136,6 +143,8 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
     observation const o = in.items[at];
     reprojection<Rig, real> const r(rig, now, o);
     int const x = whole(r.error[0]), y = whole(r.error[1]);
+    float const move = moves == nullptr ? 0.0f : moves[in.number[at]];
+    real const weight = move > 0 ? real(o.inv_sigma2) / weight_of_moved : real(o.inv_sigma2);
     if (in.outlier[at] == 0) {
       reprojection<Rig, real> const since(rig, before, o);
       int const dx = whole(since.error[0]), dy = whole(since.error[1]);
@@ -152,12 +161,14 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
       n.misfit += misfit(chi2 * real(o.inv_sigma2));
       n.rows += r.rows;
       n.resting += static_cast<int>(length_of(dx - x, dy - y) <= 2);
-      real const root = scalar::sqrt(real(o.inv_sigma2));
+      real const root = scalar::sqrt(weight);
       int const width = geometry.width[0], height = geometry.height[0];
-      s.errors[0].add(o, r.error[0] * root, r.error[1] * root, width, height);
+      // One that had been farther off would have been no inlier.
+      s.errors[0].add(o, r.error[0] * root, r.error[1] * root, move < 5.991f ? move : 0.0f, width,
+                      height);
       if (r.rows == 3) {
         // Of the disparity: what the columns in both images do not share.
-        s.errors[1].add(o, (r.error[0] - r.error[2]) * root, real(0), width, height);
+        s.errors[1].add(o, (r.error[0] - r.error[2]) * root, real(0), 0.0f, width, height);
       }
     }
     // Of a pair that is not rectified, what the right camera sees tells of its time and place.
@@ -166,7 +177,6 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
       n.off_disparity += static_cast<int>(o.camera != 0 && in.outlier[at] != 0);
     }
     if (r.rows == 3 && r.valid) {
-      real const weight = o.inv_sigma2;
       bool const agrees = (r.error[0] * r.error[0] + r.error[1] * r.error[1]) * weight < 5.991f;
       n.with_disparity += static_cast<int>(agrees);
       n.off_disparity += static_cast<int>(agrees && !(r.error[2] * r.error[2] * weight < 7.815f));
@@ -204,6 +214,8 @@ struct weighed_frames {
   rigid<double> const* correction = nullptr;  ///< [batch] of apply_window()
   pyramid_geometry geometry{};                ///< of the images
   float disparity_root = 0;                   ///< as in pose_limits
+  /// [batch][numbers] as in frames_to_align; null = no keypoint was moved
+  float const* moves = nullptr;
 };
 
 /// Item: a camera.
@@ -219,7 +231,10 @@ struct weigh_frame {
       pose const uncorrected =
           (in.T_cw[b].template cast<strict_double>() * back).template cast<float>();
       facts = weigh_observations(g, s, b, in.rig, in.observations, in.T_cw[b], in.last[b],
-                                 uncorrected, in.geometry, in.disparity_root);
+                                 uncorrected, in.geometry, in.disparity_root,
+                                 in.moves == nullptr ? nullptr
+                                                     : in.moves + static_cast<std::ptrdiff_t>(b) *
+                                                                      in.observations.capacity);
     }
     if (g.rank() == 0) { out[b] = facts; }
   }

@@ -5,6 +5,7 @@
 #include <cstddef>
 
 #include "ft/containers/odometry_map.hpp"
+#include "ft/containers/point_patches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
@@ -36,14 +37,20 @@ struct scale_map_part {
   template <typename Group>
   FT_HOST_DEVICE void operator()(Group g, scratch&, int item, map_scaling const* scalings,
                                  odometry_map_view const& map, odometry_state_view const& state,
-                                 rigid<double>* correction) const {
+                                 rigid<double>* correction,
+                                 point_patches_view const& patches) const {
     int const b = item / items(map);
     int const part = item % items(map);
     map_scaling const s = scalings[b];
     if (!(s.factor > 0) || s.factor == 1) { return; }
     int const end = min_of(map.records.used[b], own_slots * (part + 1));
     for (int slot = own_slots * part + g.rank(); slot < end; slot += g.size()) {
-      if (map.records.holds_point(b, slot)) { scale_point(map.points.slice(b), slot, s); }
+      if (!map.records.holds_point(b, slot)) { continue; }
+      scale_point(map.points.slice(b), slot, s);
+      if (patches.number == nullptr) { continue; }
+      point_patch& patch = patches.patch[patches.at(b, slot)];
+      patch.across = scaled(patch.across, static_cast<float>(s.factor));
+      patch.down = scaled(patch.down, static_cast<float>(s.factor));
     }
     if (part != 0) { return; }
     keyframes_view const& kf = map.keyframes;
@@ -90,16 +97,18 @@ private:
 
 }  // namespace detail
 
-/// Changes the unit of maps: of points with their limits of distance, of keyframes, and of the
-/// camera's last pose and motion. Rotations and normals stay. No adjustment of such a map may be in
-/// flight. Asynchronous on `exec`; allocates nothing; one launch.
+/// Changes the unit of maps: of points with their limits of distance and their patches, of
+/// keyframes, and of the camera's last pose and motion. Rotations and normals stay. No adjustment
+/// of such a map may be in flight. Asynchronous on `exec`; allocates nothing; one launch.
 /// @param scalings [batch] executor memory @param correction [batch] of apply_window(); in and out
+/// @param patches of the maps' points; none without a number
 template <typename Exec>
 void scale_maps(Exec const& exec, map_scaling const* scalings, odometry_map_view const& map,
-                odometry_state_view const& state, rigid<double>* correction) {
+                odometry_state_view const& state, rigid<double>* correction,
+                point_patches_view const& patches = {}) {
   int const items = state.batch * detail::scale_map_part::items(map);
   for_each_item<per_block<256>>(exec, items, detail::scale_map_part{}, scalings, map, state,
-                                correction);
+                                correction, patches);
 }
 
 }  // namespace FT_ABI

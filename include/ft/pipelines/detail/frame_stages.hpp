@@ -117,7 +117,9 @@ public:
     ft::assign_last_frame(exec, last_input(), searched_frame(), memory.map, last_buffers());
   }
   bool optimizes_last() const { return params.optimize_last; }
-  void optimize_last(Exec const& exec) const { optimize(exec, memory.motion.device.predicted); }
+  void optimize_last(Exec const& exec) const {
+    optimize(exec, in_map(), memory.motion.device.predicted);
+  }
   void forget_matches(Exec const& exec) const {
     clear_holders(exec, memory.frame);
     fill_bytes(exec, memory.last_work.matches, 0,
@@ -140,7 +142,11 @@ public:
                                      local_buffers());
   }
   bool optimizes_local() const { return params.optimize_local; }
-  void optimize_local(Exec const& exec) const { optimize(exec, pose_of_motion()); }
+  void optimize_local(Exec const& exec) const {
+    frames_in_map in = in_map();
+    in.moves = moves;
+    optimize(exec, in, pose_of_motion());
+  }
   /// Uploads the local map and, for a restart, the motion, which then gives the initial pose.
   void upload_local(Exec const& exec, bool restart) const {
     image_pyramid_view none = extractor.pyramid();
@@ -191,6 +197,7 @@ public:
   /// The frame and the points that its keypoints hold.
   frames_in_map in_map() const { return {memory.frame, memory.map, geometry(), fixed}; }
   unsigned char const* fixed = nullptr;  ///< as in frames_in_map
+  float const* moves = nullptr;          ///< likewise, from the search in the local map on
 
   /// The search in the local map.
   local_search<searched_rig> local_input() const {
@@ -309,9 +316,9 @@ private:
     search.stamps = stamps();
     return search;
   }
-  void optimize(Exec const& exec, pose const* start) const {
-    optimize_frame_poses(exec, rig, in_map(),
-                         {start, memory.poses, memory.observations, information}, pose_settings);
+  void optimize(Exec const& exec, frames_in_map const& in, pose const* start) const {
+    optimize_frame_poses(exec, rig, in, {start, memory.poses, memory.observations, information},
+                         pose_settings);
   }
 
   image_parts<Exec> parts_;

@@ -199,6 +199,7 @@ public:
     copy(exec, memory_->places, static_cast<int const*>(staging_->places),
          std::size_t{max_keyframes});
     order_keyframes(exec, loaded_.view(), memory_->places, stages_.own.map);
+    clear(exec, stages_.own.patches);
     is_ordered_ = true;
     for (int const i : listed_) {
       int const p = kept(i).in_loaded;
@@ -289,10 +290,14 @@ private:
          static_cast<std::size_t>(n));
     page_keyframes(exec, stages_.rig, stages_.geometry(), archive_, memory_->page, n,
                    stages_.own.map);
+    clear(exec, stages_.own.patches);
     is_page_ = true;
   }
   void show_loaded(Exec const& exec) {
-    if (is_page_ || is_ordered_) { copy_columns(exec, stages_.own.map, loaded_.view()); }
+    if (is_page_ || is_ordered_) {
+      copy_columns(exec, stages_.own.map, loaded_.view());
+      clear(exec, stages_.own.patches);
+    }
     show_as_loaded();
   }
   void show_as_loaded() {

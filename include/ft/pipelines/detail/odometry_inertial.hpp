@@ -156,7 +156,7 @@ public:
     auto const& own = s.own;
     apply_inertial_estimates(exec, own.state.apply, own.map.keyframes, windows_, view_);
     if (view_.seeks_scale) {
-      scale_maps(exec, view_.scaling, own.map, own.state, own.sources.correction);
+      scale_maps(exec, view_.scaling, own.map, own.state, own.sources.correction, own.patches);
     }
   }
   void after_prediction(Exec const& exec, stages_type const& s) const override {

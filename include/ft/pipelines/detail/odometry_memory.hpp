@@ -6,6 +6,7 @@
 #include <cstring>
 
 #include "ft/containers/odometry_map.hpp"
+#include "ft/containers/point_patches.hpp"
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
@@ -85,6 +86,7 @@ struct odometry_memory {
   static constexpr memory_space staging = staging_space<Exec>;
 
   odometry_map_view map;
+  point_patches_view patches;  ///< of its points
   odometry_state_view state;
   local_map_workspace local_work;
   int* local_left_out = nullptr;  ///< [batch]
@@ -98,6 +100,7 @@ struct odometry_memory {
   unsigned char* fixed = nullptr;      ///< [batch][numbers] as in frames_in_map
   chance_counts* chances = nullptr;    ///< [batch]
   seen_counts* seen = nullptr;         ///< [batch]
+  float* moves = nullptr;              ///< [batch][numbers] as in frames_to_align
   frame_facts* weighed = nullptr;      ///< [batch] of weigh_frames()
   int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
   float* information = nullptr;        ///< [batch][information_terms]
@@ -119,6 +122,7 @@ struct odometry_memory {
                                 p.imu.present};
     memory_ = arena<space>([&](carver& c) {
       carve(c, map, size, batch);
+      carve(c, patches, p.map_slots, batch);
       carve(c, state, batch);
       carve(c, local_work, p.map_slots, batch);
       local_left_out = c.take<int>(b);
@@ -136,6 +140,7 @@ struct odometry_memory {
       seen = c.take<seen_counts>(b);
       weighed = c.take<frame_facts>(b);
       fixed = c.take<unsigned char>(numbers);
+      moves = c.take<float>(numbers);
     });
     staging_memory_ = arena<staging>([&](carver& c) {
       inputs = c.take<odometry_input>(b);
@@ -158,6 +163,7 @@ struct odometry_memory {
   void initialize(Exec const& exec) {
     auto const b = static_cast<std::size_t>(state.batch);
     clear(exec, map);
+    clear(exec, patches);
     for (std::size_t i = 0; i < b; ++i) {
       staged_T_cw_[i] = rigid<double>::identity();
       staged_tracks_[i] = camera_track::initial();

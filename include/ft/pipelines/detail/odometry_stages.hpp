@@ -12,6 +12,7 @@
 #include "ft/kernels/map/count_sightings.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
+#include "ft/kernels/odometry/align_keypoints.hpp"
 #include "ft/kernels/odometry/frame_facts.hpp"
 #include "ft/kernels/odometry/judge_frame.hpp"
 #include "ft/kernels/odometry/match_without_window.hpp"
@@ -103,6 +104,29 @@ public:
                      local_map(), own.local_work);
   }
 
+  /// Whether keypoints are moved to where images look as they did.
+  bool aligns() const {
+    return settings.align_keypoints && !settings.own_features && !base::undistorts &&
+           !this->rolls();
+  }
+  void align_matches(Exec const& exec) const {
+    frames_to_align<typename base::searched_rig> in{};
+    in.rig = this->rig;
+    in.frame = memory.frame;
+    in.right_x = const_cast<float*>(memory.frame.right_x);  // the matcher's own memory
+    in.images = this->extractor.pyramid();
+    in.map = own.map.points;
+    in.numbers = own.map.records.number;
+    in.patches = own.patches;
+    in.T_cw = memory.poses;
+    in.moves = own.moves;
+    align_keypoints(exec, in);
+  }
+  void keep_patches(Exec const& exec) const {
+    ft::keep_patches(exec, as_keyframe(), this->extractor.pyramid(), own.map, own.keyframe_work,
+                     own.patches);
+  }
+
   /// After the last pose, and after all that reads depths beside it.
   void split_motions(Exec const& exec) const {
     motions_of_frames<typename base::searched_rig> in{};
@@ -144,7 +168,7 @@ public:
         exec, own.state.batch,
         weighed_frames<typename base::searched_rig>{
             this->rig, memory.observations, memory.poses, memory.last.T_cw, own.sources.correction,
-            this->geometry(), pose_limits::of(this->pose_settings).disparity_root},
+            this->geometry(), pose_limits::of(this->pose_settings).disparity_root, this->moves},
         own.state.tracks, own.weighed);
   }
   /// Beside the search in the local map.
@@ -256,6 +280,7 @@ public:
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
     this->fixed = own.fixed;
+    this->moves = aligns() ? own.moves : nullptr;
     if constexpr (base::searched_rig::rectified && !starts_from_motion) {
       this->fixed_disparity_ = this->rig.pair(0).camera.fx / settings.rules.near_depth;
     }
@@ -323,6 +348,8 @@ public:
     copy(exec, own.state.T_cw + b, static_cast<rigid<double> const*>(T_cw.data()), std::size_t{1});
     expect_start(exec, b, state == tracking_state::initialising);
     forget_images(exec, b);
+    fill_bytes(exec, own.patches.number + own.patches.at(b, 0), 0,
+               static_cast<std::size_t>(own.patches.slots) * sizeof(int));
     exec.wait();
     return state;
   }

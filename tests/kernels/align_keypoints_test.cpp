@@ -153,7 +153,7 @@ struct plane_scene {
     arrays const& v = data.device;
     ft::align_keypoints(exec, ft::frames_to_align<ft::rectified_rig>{
                                   rig, frame(), v.right_x, v.images, v.map.points,
-                                  v.map.records.number, v.patches, v.T_cw, v.moves});
+                                  v.map.records.number, v.patches, v.T_cw, nullptr, v.moves});
     data.pull(exec);
   }
   /// Keypoints up to `off` pixels of their levels from where a camera at T sees their points.

@@ -24,6 +24,7 @@ using blocks = ft::detail::error_blocks;
 struct erring {
   ft::observation at;
   float x, y;  ///< standard deviations
+  float move;  ///< of the keypoint, squared
 };
 
 struct sum_errors {
@@ -33,7 +34,8 @@ struct sum_errors {
                                  int* common) const {
     s.clear(g);
     for (int i = g.rank(); i < n; i += g.size()) {
-      s.add(of[i].at, ft::strict_float(of[i].x), ft::strict_float(of[i].y), width, height);
+      s.add(of[i].at, ft::strict_float(of[i].x), ft::strict_float(of[i].y), of[i].move, width,
+            height);
     }
     g.sync();
     int const shared = s.common(g);
@@ -70,7 +72,8 @@ double shared_by_pairs(std::vector<erring> const& of) {
     for (std::size_t j = 0; j < of.size(); ++j) {
       if (i == j || block_of(of[i].at) != block_of(of[j].at)) { continue; }
       products += whole(of[i].x) * whole(of[j].x) + whole(of[i].y) * whole(of[j].y);
-      squares += whole(of[i].x) * whole(of[i].x) + whole(of[i].y) * whole(of[i].y);
+      squares += whole(of[i].x) * whole(of[i].x) + whole(of[i].y) * whole(of[i].y) +
+                 std::trunc(256.0 * static_cast<double>(of[i].move));
     }
   }
   return products / squares;
@@ -107,6 +110,17 @@ TYPED_TEST(FrameFacts, NeighboursShareNothingOfErrorsOfTheirOwn) {
     EXPECT_NEAR(this->common(half), 1024 * shared_by_pairs(half), 1.01);
     EXPECT_GT(this->common(half), 400);
     EXPECT_LT(this->common(half), 750);
+  }
+}
+
+TYPED_TEST(FrameFacts, KeypointsThatWereMovedShareAsTheyDidBefore) {
+  test::generator random(9);
+  for (unsigned seed = 1; seed < 6; ++seed) {
+    auto moved = errors_of(800, 0.75, seed);
+    int const before = this->common(moved);
+    for (erring& e : moved) { e.move = random.chance(20) ? 0.0f : random.real(0.5f, 2); }
+    EXPECT_NEAR(this->common(moved), 1024 * shared_by_pairs(moved), 1.01);
+    EXPECT_LT(this->common(moved), before * 3 / 4);
   }
 }
 

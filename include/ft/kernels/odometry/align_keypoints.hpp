@@ -22,6 +22,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
+#include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pose/detail/reprojection.hpp"
 #include "ft/types/images.hpp"
 #include "ft/types/poses.hpp"
@@ -40,6 +41,8 @@ struct frames_to_align {
   int const* numbers;  ///< [batch][slots] of points, as in point_records_view
   point_patches_view patches;
   pose const* T_cw;  ///< [batch] near the frame's
+  /// [batch] may be null; cameras whose plan is `nothing` are passed over
+  camera_track const* tracks;
   float* moves;  ///< output, [batch][numbers] squared ways of the keypoints, pixels of their levels
 };
 
@@ -111,6 +114,7 @@ struct align_keypoint {
     keypoints_view const keypoints = frame.camera(b, c);
     if (g.rank() == 0) { in.moves[item] = 0; }
     if (i >= *keypoints.count) { return; }
+    if (in.tracks != nullptr && in.tracks[b].plan == search_plan::nothing) { return; }
     int const slot = frame.holder[item];
     if (slot < 0) { return; }
     std::ptrdiff_t const at = in.patches.at(b, slot);

@@ -119,6 +119,7 @@ public:
     in.numbers = own.map.records.number;
     in.patches = own.patches;
     in.T_cw = memory.poses;
+    in.tracks = own.state.tracks;
     in.moves = own.moves;
     align_keypoints(exec, in);
   }

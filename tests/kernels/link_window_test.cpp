@@ -206,6 +206,8 @@ TYPED_TEST(LinkWindows, SayNothingOfWhatIsNotKnown) {
     EXPECT_EQ(links[views + i].rotation_weight, 0) << "no estimate yet";
     EXPECT_EQ(links[2 * views + i].rotation_weight, 7) << "not asked for";
   }
+  r.data.host.imu.tracks[0].doubted = 1;
+  EXPECT_EQ(r.link()[2].rotation_weight, 0) << "many matches have outvoted it";
 }
 
 TYPED_TEST(LinkWindows, AreWeakerWhileTheOffsetOfTheClocksIsNotKnown) {

@@ -77,7 +77,8 @@ struct room {
     v.imu.poses.result[0].stored.t_cw = {2, 0, 0};
   }
   /// The next frame. @param agree observations that are no outliers with the IMU
-  outcome frame(int agree, int visual = seen, int all = seen) {
+  outcome frame(int agree, int visual = seen, int all = seen,
+                ft::inertial_source source = ft::inertial_source::last_keyframe) {
     arrays const& v = data.host;
     std::fill_n(v.holder, keypoints, -1);
     for (int i = 0; i < all; ++i) {
@@ -89,7 +90,7 @@ struct room {
     *v.observations.inliers = visual;
     *v.T_cw = ft::pose::identity();
     v.T_cw->t.x = 1;
-    v.imu.tracks[0].source = ft::inertial_source::last_keyframe;
+    v.imu.tracks[0].source = source;
     v.imu.from_keyframe(0).status = ft::integration_status::integrated;
     data.push(exec);
     arrays const& there = data.device;
@@ -171,6 +172,58 @@ TYPED_TEST(TakeInertialPoses, ManyMatchesOutvoteTheImuAtOnce) {
   EXPECT_FALSE(ft::usable(link()));
   EXPECT_EQ(r.frame(0, many - 1, many - 1).inliers, 0) << "fewer may be wrong ones that agree";
   EXPECT_EQ(link(), ft::integration_status::integrated);
+}
+
+// A sensor may be shaken once. If what was estimated after that is outvoted before it has agreed
+// with a frame, its biases are others than before.
+TYPED_TEST(TakeInertialPoses, WhatIsOutvotedAgainIsForgotten) {
+  TypeParam backend;
+  int const many = ft::detail::outvoting_matches;
+  struct row {
+    int between;  ///< agreeing observations of a frame between two that are outvoted; 0 = no frame
+    int matches;  ///< of the second of these
+    bool forgotten;
+  };
+  for (row const& c : {row{0, many, true}, row{many, many, false}, row{0, many - 1, false}}) {
+    room<typename TypeParam::exec_type> r(backend.exec);
+    ft::inertial_track& t = r.data.host.imu.tracks[0];
+    t.estimates = 3;
+    t.gyro_weight = 7;
+    t.metric = 1;
+    t.bias.gyro.x = t.last.bias.gyro.x = 0.05f;
+    t.restarts = 0;
+    ft::inertial_track const once = r.frame(0, many, many).track;
+    EXPECT_EQ(once.estimates, 3);
+    EXPECT_EQ(once.doubted, 1);
+    EXPECT_EQ(once.bias.gyro.x, 0.05f);
+    if (c.between > 0) { EXPECT_EQ(r.frame(c.between, many, many).track.doubted, 0); }
+    ft::inertial_track const again = r.frame(0, c.matches, c.matches).track;
+    EXPECT_EQ(again.known(), !c.forgotten);
+    EXPECT_EQ(again.gyro_weight, c.forgotten ? 0 : 7);
+    EXPECT_EQ(again.last.bias.gyro.x, c.forgotten ? 0 : 0.05f);
+    EXPECT_EQ(again.stale, c.forgotten ? 1 : 0);
+    EXPECT_EQ(again.metric, 1);
+    EXPECT_EQ(again.restarts, 0) << "the integral from the keyframe is as it was";
+    EXPECT_EQ(again.optimized, 0);
+  }
+}
+
+// Nothing was estimated in between: there is nothing new that could be wrong.
+TYPED_TEST(TakeInertialPoses, TurnsThatDifferAgainForgetNothing) {
+  TypeParam backend;
+  int const many = ft::detail::outvoting_matches;
+  room<typename TypeParam::exec_type> r(backend.exec);
+  ft::inertial_track& t = r.data.host.imu.tracks[0];
+  t.estimates = 3;
+  r.data.host.imu.from_last(0).status = ft::integration_status::integrated;
+  r.data.host.imu.from_last(0).dR = {{0, -1, 0, 1, 0, 0, 0, 0, 1}};  // images: none
+  r.frame(many, many, many);  // the turn since the frame before is not known yet
+  for (int i = 0; i < 3; ++i) {
+    ft::inertial_track const o = r.frame(many, many, many, ft::inertial_source::none).track;
+    EXPECT_EQ(o.doubted, 1);
+    EXPECT_EQ(o.estimates, 3);
+    EXPECT_EQ(o.status, ft::integration_status::contradicted);
+  }
 }
 
 TYPED_TEST(TakeInertialPoses, APoseFartherThanTheErrorsOfManyMatchesExplainIsNotTaken) {

@@ -53,6 +53,7 @@ struct inertial_track {
   vec3<double> origin;  ///< likewise: where the map's first camera is, in the map's unit
   int weak;             ///< 1 = few keypoints of the current frame agree with its pose
   int contradicted;  ///< frames since the last optimised one whose map points the IMU contradicts
+  int doubted;       ///< 1 = many matches have outvoted what is known, and no pose has agreed since
   int optimized;     ///< 1 = the current frame's pose was optimised with the IMU
   integration_status status;  ///< of the samples since the last frame
   float unseen_s;             ///< from the newest of them to the current frame; 0 = none
@@ -79,7 +80,8 @@ struct inertial_track {
     t.rate = t.last_rate = t.keyframe_rate = no_rate();
     return t;
   }
-  /// Nothing is known any longer, but the unit of the map.
+  /// Nothing is known any longer, but the unit of the map. An adjustment that has begun does not
+  /// count.
   FT_HOST_DEVICE void begin_anew() {
     inertial_track const old = *this;
     *this = initial();

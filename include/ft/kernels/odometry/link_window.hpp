@@ -68,7 +68,7 @@ struct link_views {
       keyframe_motion const& before = v.motion[v.at(b, keyframes.position(number - 1))];
       window_link& link = problem.link[problem.view(b, i)];
       link = {rigid<double>::identity(), 0, 0};
-      if (!t.known() || !usable(integral.status)) { continue; }
+      if (!t.known() || t.doubted != 0 || !usable(integral.status)) { continue; }
       vec3<float> const rate = v.motion[v.at(b, keyframes.position(number))].rate;
       real const clock = wide(t.clock_sigma);
       vec3<real> const late =

@@ -159,11 +159,14 @@ struct take_inertial_pose {
     t.sees = many ? 1 : 0;
     t.optimized = taken ? 1 : 0;
     if (taken) {
-      t.contradicted = 0;
+      t.contradicted = t.doubted = 0;
       seen.inliers[b] = inliers;
       in.T_cw[b] = T;
     } else if (optimizes || !turned) {
-      contradict(t, optimized || !turned, seen.inliers[b], v.from_keyframe(b));
+      bool const again = optimizes && t.doubted != 0;
+      bool const outvoted =
+          contradict(t, optimized || !turned, seen.inliers[b], v.from_keyframe(b));
+      if (outvoted && again) { forget_state(t); }
     }
     int keypoints = 0;
     for (int c = 0; c < in.frame.cameras; ++c) { keypoints += *in.frame.camera(b, c).count; }
@@ -174,19 +177,29 @@ private:
   /// Map points and IMU contradict each other. A blurred image has wrong matches that agree with
   /// one another, so the IMU is right, but not again and again, nor against many matches. Of these
   /// the pose stays, and what was integrated enters nothing.
-  FT_HOST_DEVICE static void contradict(inertial_track& t, bool optimized, int& inliers,
+  /// @return whether many matches have outvoted it
+  FT_HOST_DEVICE static bool contradict(inertial_track& t, bool optimized, int& inliers,
                                         preintegrated& from_keyframe) {
     ++t.contradicted;
     bool const outvoted = optimized && inliers >= outvoting_matches;
     if (outvoted) {
+      t.doubted = 1;
       t.status = from_keyframe.status = integration_status::contradicted;
     } else if (optimized && t.contradicted < most_contradictions) {
       inliers = 0;
-      return;
+      return false;
     }
     t.contradicted = 0;
     t.keyframe_moves = 0;
     t.source = inertial_source::none;
+    return outvoted;
+  }
+  /// An estimate after the contradiction is outvoted, too: so are those that it was joined with. A
+  /// bias is another one than before, and their mean would take long to follow.
+  FT_HOST_DEVICE static void forget_state(inertial_track& t) {
+    int const restarts = t.restarts;
+    t.begin_anew();
+    t.restarts = restarts;  // the integrals are as good as before
   }
 };
 
@@ -200,7 +213,8 @@ private:
 /// Where fewer agree, and there are fewer than 80, the frame has no inliers, so that it is not
 /// tracked. The third such frame, if none in between agreed, and any with more keep their visual
 /// pose, and the IMU says nothing until an estimate gives velocities anew; with more, the integral
-/// from the newest keyframe is dropped as `contradicted`. Asynchronous on `exec`; allocates
+/// from the newest keyframe is dropped as `contradicted`, and if that was so before and no pose has
+/// agreed since, all estimates are forgotten. Asynchronous on `exec`; allocates
 /// nothing; one launch.
 template <typename Exec>
 void take_inertial_poses(Exec const& exec, inertial_frames const& in, inertial_view const& v) {

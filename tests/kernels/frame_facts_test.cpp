@@ -286,8 +286,11 @@ TYPED_TEST(FrameFacts, CountWhatTheLastAdjustmentShifted) {
   auto const facts =
       test::from_exec(backend.exec, static_cast<ft::frame_facts const*>(out.data()), 3);
   EXPECT_EQ(facts[0].shifted, 0);
+  EXPECT_EQ(facts[0].stepped, 0);
   EXPECT_EQ(facts[1].shifted, 200) << "by 1.5 pixels";
   EXPECT_EQ(facts[2].shifted, 200);
+  EXPECT_NEAR(facts[1].stepped, 0.015, 1e-6);
+  EXPECT_NEAR(facts[2].stepped, 0.015, 1e-6);
   EXPECT_EQ(facts[1].resting, 200);
 }
 

@@ -368,6 +368,62 @@ TEST(WarningsOfFrames, ADoubtAboutAPoseStaysForASecond) {
   EXPECT_TRUE(camera(good()).empty());
 }
 
+// One camera at 1 m/s in the unit of its map, and an adjustment that moves it, in a frame of which
+// less than a second is known, or more. A motion over a second may be wrong by 2 % of its path,
+// three deviations, and 5 cm where the map is metric.
+TEST(WarningsOfFrames, OneCameraIsDoubtedWhereAnAdjustmentMovesItFar) {
+  struct row {
+    float step;
+    double deviation;
+    bool metric, doubtful;
+  };
+  row const rows[] = {{0.019f, 0, false, false},      {0.021f, 0, false, true},
+                      {0.021f, 0.0071, false, false}, {0.021f, 0.0069, false, true},
+                      {0.049f, 0, true, false},       {0.051f, 0, true, true}};
+  for (row const& r : rows) {
+    for (int const frames : {4, 60}) {
+      SCOPED_TRACE(r.step);
+      judged camera;
+      ft::tracking t = good();
+      t.depths = ft::depth_origin::motion;
+      t.metric = r.metric;
+      for (int i : {21, 28, 35}) { t.covariance[i] = r.deviation * r.deviation / 3; }
+      t.map_begun = true;
+      for (int i = 0; i < frames; ++i) {
+        EXPECT_TRUE(camera(t).empty());
+        t.map_begun = false;
+        t.T_odom_camera.t.x += 0.05;
+      }
+      t.evidence.facts.stepped = r.step;
+      EXPECT_EQ(camera(t).has(warning::doubtful_pose), r.doubtful) << frames;
+    }
+  }
+}
+
+// Where nothing is known of the speed there is no doubt: of the first frame of a map, the one after
+// it, one that was found again, and one whose unit became the metre.
+TEST(WarningsOfFrames, OneCameraIsNotDoubtedWhereItsSpeedIsNotKnown) {
+  void (*const changes[])(ft::tracking&) = {
+      [](ft::tracking& t) { t.map_begun = true; },
+      [](ft::tracking& t) { t.metric = true; },
+  };
+  for (auto const& change : changes) {
+    judged camera;
+    ft::tracking t = good();
+    t.depths = ft::depth_origin::motion;
+    t.metric = false;
+    t.evidence.facts.stepped = 1;
+    EXPECT_TRUE(camera(t).empty()) << "the first frame";
+    EXPECT_TRUE(camera(t).empty()) << "no path before it";
+    ft::tracking changed = t;
+    change(changed);
+    EXPECT_TRUE(camera(changed).empty());
+    changed.map_begun = false;
+    EXPECT_TRUE(camera(changed).empty());
+    EXPECT_TRUE(camera(changed).has(warning::doubtful_pose));
+  }
+}
+
 // The path is broken where a map begins: so are the motions across it.
 TEST(WarningsOfFrames, ANewMapIsToldForASecond) {
   judged camera;

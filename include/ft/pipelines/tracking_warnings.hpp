@@ -2,6 +2,7 @@
 /// @file What is to be told of a frame although it is tracked: names, sentences, and when.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "ft/core/config.hpp"
 #include "ft/pipelines/imu_warnings.hpp"
 #include "ft/types/odometry_params.hpp"
+#include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
 
 namespace ft {
@@ -68,10 +70,52 @@ inline bool has_two_motions(tracking const& t, warning_limits const& limits) {
          3 * e.moved > e.textured && e.textured >= 16;
 }
 
-/// Whether an adjustment took back an error. The unit of one camera drifts, which moves it, too.
+/// Whether an adjustment took back an error. The unit of one camera drifts, which moves it, too:
+/// see drifting_unit.
 inline bool was_shifted(tracking const& t) {
   return t.depths != depth_origin::motion && 2 * t.evidence.facts.shifted > t.inliers;
 }
+
+/// Whether an adjustment moved one camera by more than the motion over a second may be wrong: by 2
+/// % of its path, at the camera's speed, and three deviations; of a metric map also by 5 cm. While
+/// a map has few views, a turn and a motion sideways look alike, and a doubt in pixels would be one
+/// about each adjustment.
+class drifting_unit {
+public:
+  /// @param t its warnings are not read
+  bool judge(tracking const& t, std::int64_t time_ns) {
+    bool const goes_on = t.state == tracking_state::tracking && !t.map_begun && seconds_ >= 0 &&
+                         t.metric == metric_ && time_ns > time_ns_;
+    auto const at = t.T_odom_camera.t;
+    bool const stepped = goes_on && seconds_ > 0 && t.inliers > 0 && is_far(t);
+    if (goes_on) {
+      double const dt = 1e-9 * static_cast<double>(time_ns - time_ns_);
+      double const kept = std::exp(-dt);  // the last second counts most
+      path_ = kept * path_ + std::sqrt(dot(at - at_, at - at_));
+      seconds_ = kept * seconds_ + dt;
+    } else {
+      path_ = 0;
+      seconds_ = t.state == tracking_state::tracking ? 0 : -1;
+    }
+    metric_ = t.metric;
+    time_ns_ = time_ns;
+    at_ = at;
+    return stepped;
+  }
+
+private:
+  bool is_far(tracking const& t) const {
+    double const* const c = t.covariance;
+    double const deviation = std::sqrt(c[21] + c[28] + c[35]);
+    double const step = static_cast<double>(t.evidence.facts.stepped);
+    return step > 0.02 * path_ / seconds_ && step > 3 * deviation && (!t.metric || step > 0.05);
+  }
+
+  double path_ = 0, seconds_ = -1;  ///< weighted; below 0 seconds: no frame before
+  bool metric_ = false;
+  std::int64_t time_ns_ = 0;
+  vec3<double> at_{0, 0, 0};
+};
 
 inline bool has_odd_stereo(tracking const& t, warning_limits const& limits) {
   frame_facts const& f = t.evidence.facts;
@@ -141,12 +185,13 @@ public:
     if (t.map_begun && t.maps > 1) { all.add(tracking_warning::new_map); }
     if (2 * t.distant_points > t.stereo_points) { all.add(tracking_warning::depth_scale); }
     if (repeats(t)) { all.add(tracking_warning::images_repeat); }
+    bool const drifted = t.depths == depth_origin::motion && unit_.judge(t, time_ns);
     if (t.state == tracking_state::tracking) {
       bool const found_again = lost_before_ && !t.map_begun;
       frame_facts const& f = e.facts;
       bool const in_doubt =
           t.inliers > 0 && (errors_.judge(f.common, limits.common_errors, time_ns, limits) ||
-                            f.evidence < limits.least_evidence || was_shifted(t));
+                            f.evidence < limits.least_evidence || was_shifted(t) || drifted);
       bool const errs_in_depth =
           !unlit && t.depths == depth_origin::stereo &&
           disparities_.judge(f.common_disparity, limits.common_disparities, time_ns, limits);
@@ -192,6 +237,7 @@ private:
 
   idle_imu idle_;
   lasting_share errors_, disparities_;
+  drifting_unit unit_;
   double usual_share_ = 0;
   bool repeats_ = false;
   bool same_before_ = false;
@@ -241,7 +287,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              detail::share_of(warning_limits{}.common_errors, 1) +
              " at most, or a lost camera was found again, or an adjustment of the map moved " +
              std::to_string(f.shifted) +
-             " of them by a pixel; in this frame or in the last second, or they shared more " +
+             " of them by a pixel, or one camera by 2 % of a second's path; in this frame or in "
+             "the last second, or they shared more " +
              "once and half of that since";
     case tracking_warning::two_motions:
       return std::to_string(f.dragged) + " keypoints are fixed to the camera while it moves, " +

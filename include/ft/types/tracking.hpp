@@ -105,6 +105,8 @@ struct frame_facts {
   int frozen = 0;          ///< 1 = its images repeat those from before a motion of the IMU
   int misfit = 0;          ///< sum of the inliers' chi-square, each at most most_misfit, in 1 / 64
   int rows = 0;            ///< its numbers: two of an inlier, three of one with a disparity
+  float stepped = 0;       ///< how far the adjustment of `shifted` moved the camera: metres, or the
+                           ///< unit of a map that is not metric
   static constexpr int misfit_one = 64, most_misfit = 16;
 };
 

@@ -228,13 +228,15 @@ struct weigh_frame {
     frame_facts facts{};
     if (tracks[b].plan != search_plan::nothing) {
       auto const back = in.correction[b].template cast<strict_double>().inverse();
-      pose const uncorrected =
-          (in.T_cw[b].template cast<strict_double>() * back).template cast<float>();
+      auto const now = in.T_cw[b].template cast<strict_double>();
+      auto const before = now * back;
       facts = weigh_observations(g, s, b, in.rig, in.observations, in.T_cw[b], in.last[b],
-                                 uncorrected, in.geometry, in.disparity_root,
+                                 before.template cast<float>(), in.geometry, in.disparity_root,
                                  in.moves == nullptr ? nullptr
                                                      : in.moves + static_cast<std::ptrdiff_t>(b) *
                                                                       in.observations.capacity);
+      auto const step = now.centre() - before.centre();
+      facts.stepped = static_cast<float>(scalar::sqrt(dot(step, step)).value);
     }
     if (g.rank() == 0) { out[b] = facts; }
   }

@@ -67,6 +67,13 @@ int texture(int x, int y) {
   return static_cast<int>((h >> 15) % 200U) + 20;
 }
 
+/// Mean over a run of so many pixels along the rows and the columns.
+int smeared(int x, int y, int along_x, int along_y) {
+  int sum = 0;
+  for (int i = 0; i < along_x * along_y; ++i) { sum += texture(x + i / along_y, y + i % along_y); }
+  return sum / (along_x * along_y);
+}
+
 template <typename Backend>
 class WatchImages : public test::on_backend<Backend> {};
 TYPED_TEST_SUITE(WatchImages, test::backends);
@@ -205,14 +212,6 @@ TYPED_TEST(WatchImages, AreComparedWithTheFrameBefore) {
 TYPED_TEST(WatchImages, StreaksAreToldFromWhatIsSharpOrSoftInBothDirections) {
   TypeParam backend;
   camera<typename TypeParam::exec_type> c(backend.exec, 320, 240);
-  // Means over runs of so many pixels along the rows and the columns.
-  auto const smeared = [](int x, int y, int along_x, int along_y) {
-    int sum = 0;
-    for (int i = 0; i < along_x * along_y; ++i) {
-      sum += texture(x + i / along_y, y + i % along_y);
-    }
-    return sum / (along_x * along_y);
-  };
   struct row {
     int along_x, along_y;
     bool streaked;
@@ -226,6 +225,19 @@ TYPED_TEST(WatchImages, StreaksAreToldFromWhatIsSharpOrSoftInBothDirections) {
   // Upright bars: along the columns there is noise alone.
   c.see([&](int, int x, int y) { return 60 + 80 * (x / 40 % 2) + texture(x, y) / 40; });
   EXPECT_EQ(c.of(0).streaked, 0);
+}
+
+// Of a bar above the image, or beside it. Samples are 5 pixels apart.
+TYPED_TEST(WatchImages, AnEdgeFromSideToSideIsNoStreak) {
+  TypeParam backend;
+  camera<typename TypeParam::exec_type> c(backend.exec, 640, 480);
+  for (int at = 200; at < 206; ++at) {
+    for (int bar : {0, 16, 255}) {
+      c.see([&](int i, int x, int y) { return (i == 0 ? y : x) < at ? bar : smeared(x, y, 4, 4); });
+      EXPECT_EQ(c.of(0).streaked, 0) << "below row " << at << " of " << bar;
+      EXPECT_EQ(c.of(1).streaked, 0) << "beside column " << at << " of " << bar;
+    }
+  }
 }
 
 TYPED_TEST(WatchImages, NothingIsFixedInAFlatOrAStillImage) {

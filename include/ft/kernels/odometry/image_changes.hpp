@@ -149,7 +149,7 @@ struct compare_cells {
       row.grey = row.grey + four_sums{{to.sum, to.squares, to.has_changed(), to.differs}};
       row.still_cells |= static_cast<unsigned>(still) << k;
       for (int s = 0; s < samples; s += 2) {  // half of them, like a chessboard's squares
-        sample const at = sample_of(image, c, s + s / image_changes::side % 2);
+        sample const at = slope_of(image, c, s + s / image_changes::side % 2);
         slopes.add(image, at.x, at.y);
       }
       for (int q = 0; q < image_changes::quarters; ++q) { count_quarter(v, i, c, q, first); }
@@ -237,6 +237,18 @@ private:
     int const x = cell % image_changes::columns * image_changes::side + s % image_changes::side;
     int const y = cell / image_changes::columns * image_changes::side + s / image_changes::side;
     return {(2 * x + 1) * image.width / (2 * across), (2 * y + 1) * image.height / (2 * down)};
+  }
+  /// Where slopes are asked for: samples beside each other lie in different rows of pixels, and
+  /// those above each other in different columns. An edge from side to side of the image, as that
+  /// of a bar, would else be met by all samples of a row, or by none.
+  FT_HOST_DEVICE static sample slope_of(image_view<std::uint8_t> const& image, int cell, int s) {
+    constexpr int across = image_changes::columns * image_changes::side;
+    constexpr int down = image_changes::rows * image_changes::side;
+    constexpr int parts = 8, step = 5;  // of the distance between samples
+    int const i = cell % image_changes::columns * image_changes::side + s % image_changes::side;
+    int const j = cell / image_changes::columns * image_changes::side + s / image_changes::side;
+    int const x = parts * i + j / 2 * step % parts, y = parts * j + i / 2 * step % parts;
+    return {x * image.width / (parts * across), y * image.height / (parts * down)};
   }
   FT_HOST_DEVICE static std::ptrdiff_t place(int i, int cell, int s) {
     return (static_cast<std::ptrdiff_t>(i) * samples + s) * image_changes::cells + cell;

@@ -6,17 +6,33 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <functional>
 #include <vector>
 
 #include "ft/containers/loop_archive.hpp"
 #include "ft/core/config.hpp"
 #include "ft/kernels/loops/keep_keyframe.hpp"
 #include "ft/pipelines/detail/odometry_stages.hpp"
+#include "ft/types/loops.hpp"
+#include "ft/types/odometry_params.hpp"
 #include "ft/types/poses.hpp"
 
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
+
+/// What loops take of an odometry.
+template <typename Exec>
+struct looped_odometry {
+  loop_params params;
+  tracking_rules rules;
+  odometry_input* input;
+  odometry_output const* output;
+  bool one_camera, has_imu;
+  int depth_cameras;
+  /// Keeps the last frame as a row of the archive, see frame_with_points().
+  std::function<void(Exec const&, int row, bool with_depths)> keep;
+};
 
 /// Median distance of the points of a row; 0 without any.
 inline double median_distance(loop_archive_view const& archive, int row) {

@@ -12,6 +12,7 @@
 
 #include "ft/containers/loop_archive.hpp"
 #include "ft/containers/odometry_map.hpp"
+#include "ft/containers/point_patches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
@@ -21,11 +22,10 @@
 #include "ft/kernels/odometry/match_without_window.hpp"
 #include "ft/kernels/odometry/recovery_evidence.hpp"
 #include "ft/kernels/odometry/settle_lost.hpp"
-#include "ft/kernels/search/workspace.hpp"
+#include "ft/kernels/odometry/state.hpp"
 #include "ft/pipelines/detail/loop_frames.hpp"
 #include "ft/pipelines/detail/loop_path.hpp"
 #include "ft/pipelines/detail/odometry_download.hpp"
-#include "ft/pipelines/detail/odometry_stages.hpp"
 #include "ft/types/poses.hpp"
 #include "ft/types/tracking.hpp"
 
@@ -33,20 +33,33 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
+/// What a loop_localizer takes of an odometry, in executor memory.
+struct localized_frame {
+  odometry_map_view const& map;
+  point_patches_view const& patches;  ///< of its points
+  pose_proposal const* proposals;
+  pose* T_cw;
+  int const* inliers;
+  float* radius_factor;
+  local_map_mode* mode;
+  tracking_rules rules;
+  bool starts_from_motion;  ///< maps do
+};
+
 /// Tracks the frame of a camera that was not found in a loaded map around the place that it may be
 /// at: in that map, or in a page, the keyframes that are kept around the place. With
 /// tracking_rules::localize_only the page is the odometry's map from then on, else a new map begins
-/// in the frame.
-template <typename Exec, typename Rig>
+/// in the frame. Compiled once for all rigs: stage_localizer launches what depends on them.
+template <typename Exec>
 class loop_localizer {
-  using stages_type = odometry_stages<Exec, Rig>;
+protected:
   static constexpr memory_space space = Exec::space;
 
 public:
-  loop_localizer(stages_type const& stages, loop_archive_view const& archive)
-      : stages_(stages), archive_(archive) {
-    keyframes_view const& k = stages.own.map.keyframes;
-    most_ = min_of(k.positions, stages.own.map.records.slots / archive.points);
+  loop_localizer(localized_frame const& frame, loop_archive_view const& archive)
+      : archive_(archive), frame_(frame), map_(frame.map) {
+    keyframes_view const& k = map_.keyframes;
+    most_ = min_of(k.positions, map_.records.slots / archive.points);
     memory_ = owner<memory, space>([&](carver& c, memory& m) {
       c.place({most_}, m.page);
       c.place({max_keyframes}, m.votes, m.places);
@@ -59,15 +72,18 @@ public:
     });
   }
 
+  loop_localizer(loop_localizer const&) = delete;
+  loop_localizer& operator=(loop_localizer const&) = delete;
+  virtual ~loop_localizer() = default;
+
   /// A map was loaded. Waits, and allocates.
   /// @param path its keyframes @param archive their rows, in host memory
   void load(Exec const& exec, loop_path const& path, loop_archive_view const& archive) {
-    odometry_map_view const& map = stages_.own.map;
-    keyframes_view const& k = map.keyframes;
+    keyframes_view const& k = map_.keyframes;
     loaded_ = owner<odometry_map_view, space>([&](carver& c, odometry_map_view& v) {
-      carve(c, v, {map.records.slots, {k.positions, k.cameras, k.capacity}}, 1);
+      carve(c, v, {map_.records.slots, {k.positions, k.cameras, k.capacity}}, 1);
     });
-    copy_columns(exec, loaded_.view(), map);
+    copy_columns(exec, loaded_.view(), map_);
     int const made = downloaded(exec, k.made, 1)[0], count = downloaded(exec, k.count, 1)[0];
     auto const ring = static_cast<std::size_t>(k.positions);
     auto const times = downloaded(exec, k.time_ns, ring);
@@ -146,7 +162,7 @@ public:
       if (search_around(exec, in_map(correction(in_loaded), T_world_camera), wide)) { return true; }
     }
     // One camera begins a map by its motion.
-    if (stages_type::starts_from_motion && !localize_only()) { return false; }
+    if (frame_.starts_from_motion && !localize_only()) { return false; }
     show_page(exec, path, T_world_odom, min_of(most_, static_cast<int>(order_.size())));
     if (search_around(exec, in_map(T_world_odom, T_world_camera), wide)) { return true; }
     show_loaded(exec);
@@ -155,7 +171,7 @@ public:
   /// The pose that the frame's matches anywhere in the image have given, if there is one. Waits.
   std::optional<rigid<double>> proposed(Exec const& exec) const {
     pose_proposal* const to = staging_->proposal;
-    copy(exec, to, static_cast<pose_proposal const*>(stages_.own.windowless.proposals), 1);
+    copy(exec, to, frame_.proposals, 1);
     exec.wait();
     return to->adopted != 0 ? std::optional<rigid<double>>(to->T_cw) : std::nullopt;
   }
@@ -198,8 +214,8 @@ public:
     }
     copy(exec, memory_->places, static_cast<int const*>(staging_->places),
          std::size_t{max_keyframes});
-    order_keyframes(exec, loaded_.view(), memory_->places, stages_.own.map);
-    clear(exec, stages_.own.patches);
+    order_keyframes(exec, loaded_.view(), memory_->places, map_);
+    clear(exec, frame_.patches);
     is_ordered_ = true;
     for (int const i : listed_) {
       int const p = kept(i).in_loaded;
@@ -207,6 +223,23 @@ public:
     }
     exec.wait();
   }
+
+protected:
+  /// What was found becomes the frame's result.
+  struct decision {
+    place_outcome const* outcome;
+    std::int64_t const* evidence;
+    keyframe_order* begins;
+  };
+  /// The map becomes a page of n keyframes.
+  virtual void page(Exec const& exec, paged_keyframe const* keyframes, int n) const = 0;
+  /// Searches the local map, and optimises the pose. @param votes of keyframes by position
+  virtual void search_local_map(Exec const& exec, int const* votes) const = 0;
+  virtual void weigh(Exec const& exec, std::int64_t* evidence) const = 0;
+  /// Waits.
+  virtual void settle(Exec const& exec, decision const& by) const = 0;
+
+  loop_archive_view archive_;
 
 private:
   struct memory {
@@ -288,15 +321,14 @@ private:
     }
     copy(exec, memory_->page, static_cast<paged_keyframe const*>(staging_->page),
          static_cast<std::size_t>(n));
-    page_keyframes(exec, stages_.rig, stages_.geometry(), archive_, memory_->page, n,
-                   stages_.own.map);
-    clear(exec, stages_.own.patches);
+    page(exec, memory_->page, n);
+    clear(exec, frame_.patches);
     is_page_ = true;
   }
   void show_loaded(Exec const& exec) {
     if (is_page_ || is_ordered_) {
-      copy_columns(exec, stages_.own.map, loaded_.view());
-      clear(exec, stages_.own.patches);
+      copy_columns(exec, map_, loaded_.view());
+      clear(exec, frame_.patches);
     }
     show_as_loaded();
   }
@@ -312,8 +344,8 @@ private:
     search_twice(exec, T_cw, wide);
     bool const begins = is_page_ && !localize_only();
     *staging_->outcome = begins ? place_outcome::begins_map : place_outcome::known;
-    settle(exec);
-    tracking_rules const& rules = stages_.settings.rules;
+    settle(exec, {staging_->outcome, memory_->evidence, memory_->begins});
+    tracking_rules const& rules = frame_.rules;
     return *staging_->inliers >= rules.min_recovered && is_enough(*staging_->evidence, rules);
   }
   void search_twice(Exec const& exec, pose const& T_cw, float wide) const {
@@ -328,55 +360,27 @@ private:
     copy(exec, memory_->votes, static_cast<int const*>(staging_->votes),
          std::size_t{max_keyframes});
     *staging_->T_cw = T_cw;
-    copy(exec, stages_.memory.poses, static_cast<pose const*>(staging_->T_cw), 1);
+    copy(exec, frame_.T_cw, static_cast<pose const*>(staging_->T_cw), 1);
     search(exec, wide);
     search(exec, 1);
     // Before a map begins, which the points are not of.
-    weigh_recoveries(exec, stages_.local_input(), stages_.params.local_points, stages_.memory.frame,
-                     stages_.memory.map, stages_.memory.observations.inliers, memory_->evidence);
+    weigh(exec, memory_->evidence);
     copy(exec, staging_->evidence, static_cast<std::int64_t const*>(memory_->evidence), 1);
-    copy(exec, staging_->inliers, static_cast<int const*>(stages_.memory.observations.inliers), 1);
+    copy(exec, staging_->inliers, frame_.inliers, 1);
   }
   /// From memory.poses, of which the optimised pose takes the place.
   void search(Exec const& exec, float radius_factor) const {
     exec.wait();  // for what is staged
     *staging_->radius_factor = radius_factor;
     *staging_->mode = local_map_mode::given;
-    odometry_state_view const& state = stages_.own.state;
-    copy(exec, state.radius_factor, static_cast<float const*>(staging_->radius_factor), 1);
-    copy(exec, state.mode, static_cast<local_map_mode const*>(staging_->mode), 1);
-    stages_.forget_stamps(exec);
-    clear_holders(exec, stages_.memory.frame);
-    stages_.choose_local(exec, memory_->votes);
-    stages_.list_local_map(exec);
-    stages_.assign_local_map(exec);
-    stages_.optimize_local(exec);
+    copy(exec, frame_.radius_factor, static_cast<float const*>(staging_->radius_factor), 1);
+    copy(exec, frame_.mode, static_cast<local_map_mode const*>(staging_->mode), 1);
+    search_local_map(exec, memory_->votes);
   }
-  bool localize_only() const { return stages_.settings.rules.localize_only; }
-  /// What the frame's searches say becomes its result.
-  void settle(Exec const& exec) const {
-    looked_up_frames in;
-    in.frame = stages_.memory.frame;
-    in.begins_maps = false;
-    in.outcome = staging_->outcome;
-    in.found_T_cw = in.T_cw = stages_.memory.poses;
-    in.found_inliers = in.inliers = stages_.memory.observations.inliers;
-    in.found_evidence = memory_->evidence;
-    in.matches = stages_.memory.local_work.matches;
-    in.matched = stages_.own.matched;
-    in.begins = memory_->begins;
-    settle_lost_frames(exec, stages_.settings.rules, in, stages_.own.state);
-    if constexpr (!stages_type::starts_from_motion) {
-      if (!localize_only()) { stages_.insert(exec, memory_->begins); }
-    }
-    stages_.keep_counts(exec);
-    stages_.pack_matches(exec, stages_.outcome_of_local());
-    stages_.pack_outputs(exec, nullptr);
-    exec.wait();
-  }
+  bool localize_only() const { return frame_.rules.localize_only; }
 
-  stages_type const& stages_;
-  loop_archive_view archive_;
+  localized_frame frame_;
+  odometry_map_view const& map_;
   int most_ = 0;  ///< keyframes of a page
   owner<odometry_map_view, space> loaded_;
   owner<memory, space> memory_;

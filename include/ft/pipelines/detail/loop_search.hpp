@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "ft/cameras/monocular_rig.hpp"
@@ -50,13 +52,17 @@ struct loop_executor<cuda_exec> {
 #endif
 
 /// Looks for loops of the newest keyframe of a path, and corrects the path. Each even run searches,
-/// the odd one after it corrects.
-template <typename Exec, typename Rig>
+/// the odd one after it corrects. Compiled once for all rigs.
+template <typename Exec>
 struct loop_search {
-  Rig rig;
+  /// match_keyframes() of the rig, from the memory of the search.
+  using matching = std::function<void(Exec const&, loop_search const&, loop_rows const&,
+                                      std::uint64_t /*seed*/)>;
   loop_params params;
-  pose_params pose_settings;
   loop_archive_view archive;
+  matching match;
+  bool one_camera;
+  double baseline;  ///< metres; one camera has none
   std::unique_ptr<loop_executor<Exec>> where = std::make_unique<loop_executor<Exec>>();
   loop_path path;                ///< in and out
   loop_path corrected;           ///< a copy of its keyframes and loops, where `enters`
@@ -83,9 +89,21 @@ struct loop_search {
   owner<memory, Exec::space> memory_;
   owner<staging, staging_space<Exec>> staging_;
 
-  loop_search(Rig const& of, loop_params const& with, pose_params const& pose_of,
-              loop_archive_view const& in)
-      : rig(of), params(with), pose_settings(pose_of), archive(in) {
+  template <typename Rig>
+  static loop_search of(Rig const& rig, loop_params const& params, pose_params const& pose_of,
+                        loop_archive_view const& archive) {
+    bool const one = is_monocular_v<Rig>;
+    return {params, archive,
+            [rig, pose_of](Exec const& exec, loop_search const& s, loop_rows const& rows,
+                           std::uint64_t seed) {
+              match_keyframes(exec, rig, s.archive, rows, seed, pose_of, s.memory_->work,
+                              s.memory_->found);
+            },
+            one, one ? 0.0 : static_cast<double>(rig.baseline_length().value)};
+  }
+  loop_search(loop_params const& with, loop_archive_view const& in, matching by, bool one,
+              double metres)
+      : params(with), archive(in), match(std::move(by)), one_camera(one), baseline(metres) {
     int const most = 3 * params.groups;
     memory_ = owner<memory, Exec::space>([&](carver& c, memory& m) {
       c.place({archive.rows}, m.rows, m.votes);
@@ -127,7 +145,7 @@ struct loop_search {
     frame.map = frame.part = path.keyframes.back().map + 1;
     path.keyframes.push_back(frame);
     joins_only = true;
-    query_has_depths = !is_monocular_v<Rig>;
+    query_has_depths = !one_camera;
     std::vector<path_loop> const found = verified(exec);
     looks_like = static_cast<int>(found.size());
     std::optional<path_loop> best;
@@ -268,14 +286,13 @@ private:
     for (int i = 0; i < n; ++i) {
       int const k = group[static_cast<std::size_t>(i)];
       s.rows[i] = path.at(k).row;
-      if (is_known) { s.bound[i] = path.bound(k, query(), params, baseline()); }
+      if (is_known) { s.bound[i] = path.bound(k, query(), params, baseline); }
     }
     copy(exec, m.rows, static_cast<int const*>(s.rows), group.size());
     copy(exec, m.bound, static_cast<loop_bound const*>(s.bound), is_known ? group.size() : 0);
-    match_keyframes(
-        exec, rig, archive,
-        {path.at(query()).row, m.rows, n, query_has_depths, is_known ? m.bound : nullptr},
-        static_cast<std::uint64_t>(path.at(query()).time_ns), pose_settings, m.work, m.found);
+    match(exec, *this,
+          {path.at(query()).row, m.rows, n, query_has_depths, is_known ? m.bound : nullptr},
+          static_cast<std::uint64_t>(path.at(query()).time_ns));
     copy(exec, s.found, static_cast<loop_match const*>(m.found), group.size());
     exec.wait();
     std::vector<path_loop> loops;
@@ -294,8 +311,8 @@ private:
       edge_information(found.information, 0.5, loop.information);  // the points are as uncertain
       if (path.scaled) { set_scale(found, loop); }
       bool const joins = path.at(loop.from).part != path.at(loop.to).part;
-      if (joins || (path.fits(loop, params, baseline()) && path.tells(loop, params) &&
-                    path.is_alike(loop))) {
+      if (joins ||
+          (path.fits(loop, params, baseline) && path.tells(loop, params) && path.is_alike(loop))) {
         loops.push_back(loop);
       }
     }
@@ -306,7 +323,7 @@ private:
   bool is_told_apart(path_loop const& loop, std::vector<path_loop> const& all) const {
     for (path_loop const& other : all) {
       if (&other != &loop && 2 * other.inliers > loop.inliers &&
-          path.contradict(loop, other, params, baseline())) {
+          path.contradict(loop, other, params, baseline)) {
         return false;
       }
     }
@@ -315,7 +332,7 @@ private:
   void close(path_loop const& loop) {
     if (path.at(loop.from).part != path.at(query()).part) {
       closed += path.join(loop);
-    } else if (path.fits(loop, params, baseline())) {  // also after the join by another one
+    } else if (path.fits(loop, params, baseline)) {  // also after the join by another one
       path.loops.push_back(loop);
       ++closed;
     }
@@ -330,10 +347,6 @@ private:
       }
     }
     loop.scale_information = 0.5 / (found.scale_sigma * found.scale_sigma);
-  }
-  /// Metres; one camera has none.
-  double baseline() const {
-    return is_monocular_v<Rig> ? 0.0 : static_cast<double>(rig.baseline_length().value);
   }
   /// Of the loops that another one agrees with, that of most inliers; their number if there is
   /// none.

@@ -234,9 +234,7 @@ TYPED_TEST(rgbd_odometry, goes_on_with_holes_in_the_depth) {
   rig.depth_scale = 1;
   rig.max_depth = 4;
   auto frames = walk(rig);
-  auto p = params();
-  p.align_keypoints = false;  // a keypoint that is moved keeps the depth of where it was found
-  ft::odometry<typename TypeParam::exec_type, plain_rig> odo(backend.exec, rig, p);
+  ft::odometry<typename TypeParam::exec_type, plain_rig> odo(backend.exec, rig, params());
   std::int64_t time = 0;
   for (auto& f : frames) {
     constexpr float none[] = {std::numeric_limits<float>::quiet_NaN(), 0, -1,

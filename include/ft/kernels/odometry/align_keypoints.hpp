@@ -21,6 +21,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/group.hpp"
+#include "ft/kernels/images/undistort.hpp"
 #include "ft/kernels/map/keyframe_input.hpp"
 #include "ft/kernels/odometry/state.hpp"
 #include "ft/kernels/pose/detail/reprojection.hpp"
@@ -34,8 +35,7 @@ inline namespace FT_ABI {
 template <typename Rig>
 struct frames_to_align {
   Rig rig;
-  frame_view frame;  ///< positions of keypoints are read and written
-  float* right_x;    ///< that of the frame, which moves with the keypoint; may be null
+  frame_view frame;
   image_pyramid_view images;
   map_points_view map;
   int const* numbers;  ///< [batch][slots] of points, as in point_records_view
@@ -43,6 +43,8 @@ struct frames_to_align {
   pose const* T_cw;  ///< [batch] near the frame's
   /// [batch] may be null; cameras whose plan is `nothing` are passed over
   camera_track const* tracks;
+  pixels_view aligned;  ///< output, of all keypoints, in the shape of the frame's
+  float* right_x;  ///< output, that of the frame, moved with the keypoints; null if the frame's is
   float* moves;  ///< output, [batch][numbers] squared ways of the keypoints, pixels of their levels
 };
 
@@ -74,7 +76,7 @@ struct seen_point {
   }
 };
 
-/// Item: a keypoint number of a batch entry. Moves the keypoint.
+/// Item: a keypoint number of a batch entry. Says where its point is.
 template <typename Rig>
 struct align_keypoint {
   using real = strict_float;
@@ -112,8 +114,8 @@ struct align_keypoint {
     int const c = number / frame.capacity();
     int const i = number % frame.capacity();
     keypoints_view const keypoints = frame.camera(b, c);
-    if (g.rank() == 0) { in.moves[item] = 0; }
     if (i >= *keypoints.count) { return; }
+    if (g.rank() == 0) { write(in, item, {real(keypoints.x(i)), real(keypoints.y(i))}, real(0)); }
     if (in.tracks != nullptr && in.tracks[b].plan == search_plan::nothing) { return; }
     int const slot = frame.holder[item];
     if (slot < 0) { return; }
@@ -134,16 +136,26 @@ struct align_keypoint {
     g.sync();
     if (g.rank() != 0) { return; }
     real const x = moved.x - start.x, y = moved.y - start.y;
-    in.moves[item] = (x * x + y * y).value;
-    real const dx = x * scale;
-    keypoints.x(i) = (real(keypoints.x(i)) + dx).value;
-    keypoints.y(i) = (real(keypoints.y(i)) + y * scale).value;
-    if (in.right_x != nullptr && in.right_x[item] >= 0) {
-      in.right_x[item] = max_of((real(in.right_x[item]) + dx).value, 0.0f);
-    }
+    write(in, item, {real(keypoints.x(i)) + x * scale, real(keypoints.y(i)) + y * scale},
+          x * x + y * y);
   }
 
 private:
+  /// The keypoint's position, and the squared way to it.
+  FT_HOST_DEVICE static void write(frames_to_align<Rig> const& in, int item, place at, real move) {
+    frame_view const& frame = in.frame;
+    int const b = item / frame.numbers(), number = item % frame.numbers();
+    int const c = number / frame.capacity(), i = number % frame.capacity();
+    in.moves[item] = move.value;
+    if (in.right_x != nullptr) {
+      float const right = frame.right_x[item];
+      real const moved = real(right) + (at.x - real(frame.camera(b, c).x(i)));
+      in.right_x[item] = right < 0 ? right : max_of(moved.value, 0.0f);
+    }
+    pixels_view const aligned = in.aligned.slice(frame.image(b, c));
+    aligned.x(i) = at.x.value;
+    aligned.y(i) = at.y.value;
+  }
   FT_HOST_DEVICE static bool find_warp(frames_to_align<Rig> const& in, int b, int c, int slot,
                                        float inv_scale, point_patch const& patch, warp& w) {
     seen_point<Rig> const seen(in.rig, c, in.T_cw[b].template cast<real>(),
@@ -345,8 +357,9 @@ private:
 
 }  // namespace detail
 
-/// Moves each keypoint that holds a map point with a patch to where the image looks like it, at
-/// most 6 pixels of its level along each axis. Keypoints that find no such place stay. Asynchronous
+/// Positions of keypoints: of each that holds a map point with a patch where the image looks like
+/// it, at most 6 pixels of its level away along each axis; of others, and where there is no such
+/// place, their own. Asynchronous
 /// on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void align_keypoints(Exec const& exec, frames_to_align<Rig> const& in) {

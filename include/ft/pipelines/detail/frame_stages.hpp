@@ -13,6 +13,7 @@
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
 #include "ft/core/recording.hpp"
+#include "ft/kernels/images/undistort.hpp"
 #include "ft/kernels/pose/optimize_frame.hpp"
 #include "ft/kernels/search/assignment.hpp"
 #include "ft/kernels/search/frustum.hpp"
@@ -144,6 +145,7 @@ public:
   bool optimizes_local() const { return params.optimize_local; }
   void optimize_local(Exec const& exec) const {
     frames_in_map in = in_map();
+    in.frame = aligned_frame();
     in.moves = moves;
     optimize(exec, in, pose_of_motion());
   }
@@ -198,6 +200,20 @@ public:
   frames_in_map in_map() const { return {memory.frame, memory.map, geometry(), fixed}; }
   unsigned char const* fixed = nullptr;  ///< as in frames_in_map
   float const* moves = nullptr;          ///< likewise, from the search in the local map on
+
+  /// From then on keypoints are where align_keypoints() writes.
+  void align_to(pixels_view const& positions, float const* right_x, float const* ways) {
+    aligned_ = positions;
+    aligned_right_x_ = right_x;
+    moves = ways;
+  }
+  frame_view aligned_frame() const {
+    frame_view f = memory.frame;
+    if (moves == nullptr) { return f; }
+    f.keypoints = with_columns(f.keypoints, aligned_);
+    if (f.right_x != nullptr) { f.right_x = aligned_right_x_; }
+    return f;
+  }
 
   /// The search in the local map.
   local_search<searched_rig> local_input() const {
@@ -321,6 +337,8 @@ private:
                          pose_settings);
   }
 
+  pixels_view aligned_;
+  float const* aligned_right_x_ = nullptr;
   image_parts<Exec> parts_;
   side_branch<Exec> stereo_branch_;
   side_branch<Exec> result_branch_;

@@ -11,6 +11,7 @@
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/kernels/images/undistort.hpp"
 #include "ft/kernels/map/choose_local_map.hpp"
 #include "ft/kernels/map/gather_window.hpp"
 #include "ft/kernels/map/insert_keyframe.hpp"
@@ -100,6 +101,8 @@ struct odometry_memory {
   unsigned char* fixed = nullptr;      ///< [batch][numbers] as in frames_in_map
   chance_counts* chances = nullptr;    ///< [batch]
   seen_counts* seen = nullptr;         ///< [batch]
+  pixels_view aligned;                 ///< as in frames_to_align
+  float* aligned_right_x = nullptr;    ///< [batch][numbers] likewise
   float* moves = nullptr;              ///< [batch][numbers] as in frames_to_align
   frame_facts* weighed = nullptr;      ///< [batch] of weigh_frames()
   int* selected = nullptr;             ///< [batch] cameras of the adjustment that runs
@@ -141,6 +144,8 @@ struct odometry_memory {
       weighed = c.take<frame_facts>(b);
       fixed = c.take<unsigned char>(numbers);
       moves = c.take<float>(numbers);
+      aligned_right_x = c.take<float>(numbers);
+      carve(c, aligned, shape.capacity, shape.images * batch);
     });
     staging_memory_ = arena<staging>([&](carver& c) {
       inputs = c.take<odometry_input>(b);

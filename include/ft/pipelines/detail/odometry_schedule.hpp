@@ -138,13 +138,13 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   s.plan_search(line.then("update local map"));
   s.choose_local(line.then("update local map"));
   s.list_local_map(line.then("search local map"));
-  s.assign_local_map(line.then("search local map"));
-  bool const aligns = s.aligns();
-  if (aligns) { s.align_matches(line.then("search local map")); }
   auto const branch = line.fork(s.result_branch());
   s.pack_keypoints(branch);
   s.pack_depths(branch);
   s.count_chances(branch);
+  s.assign_local_map(line.then("search local map"));
+  bool const aligns = s.aligns();
+  if (aligns) { s.align_matches(line.then("search local map")); }
   s.optimize_local(line.then("pose local map"));
   line.join(s.result_branch());  // its stages read depths and points, which those below write
   s.split_motions(line.then("pose local map"));

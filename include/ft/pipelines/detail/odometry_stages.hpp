@@ -113,13 +113,14 @@ public:
     frames_to_align<typename base::searched_rig> in{};
     in.rig = this->rig;
     in.frame = memory.frame;
-    in.right_x = const_cast<float*>(memory.frame.right_x);  // the matcher's own memory
     in.images = this->extractor.pyramid();
     in.map = own.map.points;
     in.numbers = own.map.records.number;
     in.patches = own.patches;
     in.T_cw = memory.poses;
     in.tracks = own.state.tracks;
+    in.aligned = own.aligned;
+    in.right_x = memory.frame.right_x == nullptr ? nullptr : own.aligned_right_x;
     in.moves = own.moves;
     align_keypoints(exec, in);
   }
@@ -211,7 +212,7 @@ public:
   keyframe_input<typename base::searched_rig> as_keyframe() const {
     keyframe_input<typename base::searched_rig> in{};
     in.rig = this->rig;
-    in.frame = memory.frame;
+    in.frame = this->aligned_frame();
     in.order = own.state.order;
     in.T_cw = own.state.T_cw;
     in.time_ns = own.state.time_ns;
@@ -281,7 +282,7 @@ public:
     this->radius_factor = own.state.radius_factor;
     this->information = own.information;
     this->fixed = own.fixed;
-    this->moves = aligns() ? own.moves : nullptr;
+    if (aligns()) { this->align_to(own.aligned, own.aligned_right_x, own.moves); }
     if constexpr (base::searched_rig::rectified && !starts_from_motion) {
       this->fixed_disparity_ = this->rig.pair(0).camera.fx / settings.rules.near_depth;
     }

@@ -287,8 +287,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              detail::share_of(warning_limits{}.common_errors, 1) +
              " at most, or a lost camera was found again, or an adjustment of the map moved " +
              std::to_string(f.shifted) +
-             " of them by a pixel, or one camera by 2 % of a second's path; in this frame or in "
-             "the last second, or they shared more " +
+             " of them by a pixel, or one camera by 2 % of the path of a second; in this frame or "
+             "in the last second, or they shared more " +
              "once and half of that since";
     case tracking_warning::two_motions:
       return std::to_string(f.dragged) + " keypoints are fixed to the camera while it moves, " +

@@ -143,8 +143,7 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
   s.pack_depths(branch);
   s.count_chances(branch);
   s.assign_local_map(line.then("search local map"));
-  bool const aligns = s.aligns();
-  if (aligns) { s.align_matches(line.then("search local map")); }
+  if (s.aligns()) { s.align_matches(line.then("search local map")); }
   s.optimize_local(line.then("pose local map"));
   line.join(s.result_branch());  // its stages read depths and points, which those below write
   s.split_motions(line.then("pose local map"));
@@ -163,7 +162,6 @@ void queue_odometry(Line& line, Stages& s, frame_extent extent) {
     s.triangulate(line.then("keyframe"));
   }
   s.insert(line.then("keyframe"));
-  if (aligns) { s.keep_patches(line.then("keyframe")); }
   if constexpr (Stages::starts_from_motion) { s.enter_new_points(line.then("keyframe")); }
   if (parts) { s.launch_parts(line.fork(s.part_branch()), &part::beside_window); }
   s.gather(line.then("keyframe"));

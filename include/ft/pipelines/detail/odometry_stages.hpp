@@ -124,10 +124,6 @@ public:
     in.moves = own.moves;
     align_keypoints(exec, in);
   }
-  void keep_patches(Exec const& exec) const {
-    ft::keep_patches(exec, as_keyframe(), this->extractor.pyramid(), own.map, own.keyframe_work,
-                     own.patches);
-  }
 
   /// After the last pose, and after all that reads depths beside it.
   void split_motions(Exec const& exec) const {
@@ -236,6 +232,9 @@ public:
       p.wanted_near_points = 0;
     }
     insert_keyframe(exec, in, p, own.map, own.keyframe_out, own.keyframe_work);
+    if (aligns()) {
+      keep_patches(exec, in, this->extractor.pyramid(), own.map, own.keyframe_work, own.patches);
+    }
   }
   void gather(Exec const& exec) const {
     gather_window(exec, {own.state.gather, this->geometry(), settings.window}, own.map, own.window,

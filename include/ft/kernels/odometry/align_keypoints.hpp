@@ -359,8 +359,7 @@ private:
 
 /// Positions of keypoints: of each that holds a map point with a patch where the image looks like
 /// it, at most 6 pixels of its level away along each axis; of others, and where there is no such
-/// place, their own. Asynchronous
-/// on `exec`; allocates nothing; one launch.
+/// place, their own. Asynchronous on `exec`; allocates nothing; one launch.
 template <typename Exec, typename Rig>
 void align_keypoints(Exec const& exec, frames_to_align<Rig> const& in) {
   for_each_item<per_warp>(exec, in.frame.batch * in.frame.numbers(), detail::align_keypoint<Rig>{},

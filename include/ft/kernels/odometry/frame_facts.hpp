@@ -79,10 +79,10 @@ struct error_blocks {
   /// How much of the errors' variance is common to neighbours: the mean of the products of the
   /// errors of two inliers of a block, by the mean of their squares, in 1 / 1024. The squares are
   /// those where corners were found: of keypoints that were moved since, what little is left may be
-  /// common. The errors of a
-  /// right pose are those of keypoints, of which each has its own: 0, give or take one by the root
-  /// of the number of pairs. 0 where there are too few pairs to tell a quarter with four standard
-  /// deviations. After a barrier behind add(); `g` may be a part of the group that has added.
+  /// common. The errors of a right pose are those of keypoints, of which each has its own: 0, give
+  /// or take one by the root of the number of pairs. 0 where there are too few pairs to tell a
+  /// quarter with four standard deviations. After a barrier behind add(); `g` may be a part of the
+  /// group that has added.
   template <typename Group>
   FT_HOST_DEVICE int common(Group g) const {
     std::int64_t products = 0, all = 0, pairs = 0;

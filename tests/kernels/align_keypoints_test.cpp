@@ -185,7 +185,7 @@ struct plane_scene {
         float const x = found ? v.keypoints.slice(b).x(i) : v.aligned.slice(b).x(i);
         float const y = found ? v.keypoints.slice(b).y(i) : v.aligned.slice(b).y(i);
         float const right = found ? v.right_x[n] : v.aligned_right_x[n];
-        all.insert(all.end(), {x, y, right, found ? 0.0f : v.moves[n]});
+        all.insert(all.end(), {x, y, right, found ? -1.0f : v.moves[n]});
       }
     }
     return all;
@@ -229,8 +229,8 @@ TYPED_TEST(AlignKeypoints, FindTheirPoints) {
       for (int i = 0; i < capacity; ++i) {
         int const n = b * capacity + i;
         if (i >= *kp.count) { continue; }
-        if (b == unseen) { EXPECT_EQ(v.moves[n], 0.0f); }
-        if (!(v.moves[n] > 0)) { continue; }
+        if (b == unseen) { EXPECT_EQ(v.moves[n], -1.0f); }
+        if (v.moves[n] < 0) { continue; }
         pixel const want = s.seen_from(moved_camera(), v.map.points.slice(b).position(v.holder[n]));
         double const scale = static_cast<double>(s.geometry.scale[kp.octave(i)]);
         auto const at = v.aligned.slice(b);
@@ -259,6 +259,29 @@ TYPED_TEST(AlignKeypoints, HaveTheSameBitsEverywhere) {
   for (unsigned seed = 11; seed <= 14; ++seed) {
     EXPECT_EQ(align_moved(backend.exec, seed, s), align_moved(host, seed, on_host));
   }
+}
+
+/// A camera at rest: a keypoint that is where its patch was kept has a place, no way to it.
+TYPED_TEST(AlignKeypoints, ThatAreAtTheirPlacesAlreadyHaveOne) {
+  TypeParam backend;
+  plane_scene s(backend.exec);
+  test::generator random(7);
+  s.begin(random);
+  s.keep();
+  s.align();
+  arrays const& v = s.data.host;
+  int found = 0;
+  for (int b = 0; b < batch; ++b) {
+    auto const kp = v.keypoints.slice(b);
+    for (int i = 0; i < *kp.count; ++i) {
+      float const move = v.moves[b * capacity + i];
+      EXPECT_EQ(move, b != unseen && move >= 0 ? 0.0f : -1.0f);
+      found += move >= 0 ? 1 : 0;
+      EXPECT_EQ(v.aligned.slice(b).x(i), kp.x(i));
+      EXPECT_EQ(v.aligned.slice(b).y(i), kp.y(i));
+    }
+  }
+  EXPECT_GT(found, 2 * capacity * 3 / 4);
 }
 
 TYPED_TEST(AlignKeypoints, StayWithoutAPatchOfTheirPoint) {

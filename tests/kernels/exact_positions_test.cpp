@@ -137,7 +137,10 @@ TYPED_TEST(exact_positions_of, give_the_pose_of_a_frame) {
   auto const d_result = test::to_exec(exec, std::vector<ft::pose>(1));
   ft::observations_view observations;
   ft::arena<space> const memory([&](ft::carver& c) { ft::carve(c, observations, n, 1); });
-  auto const error = [&](bool exact) {
+  std::vector<float> moves(n);  // a third has no patch, another is where it is to the bit
+  for (std::size_t i = 0; i < moves.size(); ++i) { moves[i] = static_cast<float>(i % 3) - 1; }
+  auto const d_moves = test::to_exec(exec, moves);
+  auto const error = [&](bool exact, bool aligned = false) {
     g.exact = exact;
     auto const d_holder = test::to_exec(exec, holder);
     ft::frame_view frame;
@@ -146,8 +149,9 @@ TYPED_TEST(exact_positions_of, give_the_pose_of_a_frame) {
     frame.batch = 1;
     frame.right_x = d_right.data();
     frame.holder = d_holder.data();
-    ft::optimize_frame_poses(exec, rig, {frame, d_map.view(), g},
-                             {d_start.data(), d_result.data(), observations});
+    ft::frames_in_map in{frame, d_map.view(), g};
+    if (aligned) { in.moves = d_moves.data(); }
+    ft::optimize_frame_poses(exec, rig, in, {d_start.data(), d_result.data(), observations});
     auto const T = test::from_exec(exec, static_cast<ft::pose const*>(d_result.data()), 1)[0];
     // Length of the translation and of the rotation's axis times sine.
     float const off[6] = {T.t.x, T.t.y, T.t.z, T.R.m[1], T.R.m[2], T.R.m[5]};
@@ -157,6 +161,14 @@ TYPED_TEST(exact_positions_of, give_the_pose_of_a_frame) {
   };
   EXPECT_LT(error(true), 1e-5);
   EXPECT_GT(error(false), 2e-4);
+  // Keypoints at the places of their points' patches have their weight, moved or not.
+  EXPECT_LT(error(true, true), 1e-5);
+  auto const seen_as =
+      test::from_exec(exec, static_cast<ft::observation const*>(observations.items), n);
+  for (std::size_t i = 0; i < seen_as.size(); ++i) {
+    float const corner = g.inv_sigma2[i % 8];
+    EXPECT_EQ(seen_as[i].inv_sigma2, moves[i] < 0 ? corner : ft::weight_of_moved * corner) << i;
+  }
 }
 
 }  // namespace exact_positions_test

@@ -45,7 +45,9 @@ struct frames_to_align {
   camera_track const* tracks;
   pixels_view aligned;  ///< output, of all keypoints, in the shape of the frame's
   float* right_x;  ///< output, that of the frame, moved with the keypoints; null if the frame's is
-  float* moves;  ///< output, [batch][numbers] squared ways of the keypoints, pixels of their levels
+  /// output, [batch][numbers] squared ways of the keypoints to their patches' places, pixels of
+  /// their levels; -1: there is none
+  float* moves;
 };
 
 namespace detail {
@@ -115,7 +117,7 @@ struct align_keypoint {
     int const i = number % frame.capacity();
     keypoints_view const keypoints = frame.camera(b, c);
     if (i >= *keypoints.count) { return; }
-    if (g.rank() == 0) { write(in, item, {real(keypoints.x(i)), real(keypoints.y(i))}, real(0)); }
+    if (g.rank() == 0) { write(in, item, {real(keypoints.x(i)), real(keypoints.y(i))}, real(-1)); }
     if (in.tracks != nullptr && in.tracks[b].plan == search_plan::nothing) { return; }
     int const slot = frame.holder[item];
     if (slot < 0) { return; }

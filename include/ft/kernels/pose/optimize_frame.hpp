@@ -29,8 +29,8 @@ struct frames_in_map {
   /// [batch][cameras * capacity] not 0 = the keypoint releases its point: it is of what is fixed to
   /// a camera. Null: none does
   unsigned char const* fixed = nullptr;
-  /// [batch][cameras * capacity] above 0 = the keypoint was moved to where its point's patch is,
-  /// and counts `weight_of_moved` times. Null: none was
+  /// [batch][cameras * capacity] 0 or more = the keypoint is where its point's patch is, and counts
+  /// `weight_of_moved` times. Null: none is
   float const* moves = nullptr;
 };
 
@@ -100,7 +100,7 @@ struct optimize_frame {
       float const right =
           Rig::rectified && frame.right_x != nullptr ? frame.right_x[first + number] : -1.0f;
       int const octave = kp.octave(k);
-      bool const moved = in.moves != nullptr && in.moves[first + number] > 0;
+      bool const moved = in.moves != nullptr && in.moves[first + number] >= 0;
       float const weight = in.geometry.inv_sigma2[octave];
       observation const o{points.position(holder[number]),
                           in.geometry.column(kp.x(k), octave),

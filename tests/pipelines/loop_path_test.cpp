@@ -446,6 +446,30 @@ TEST(LoopPath, NoLoopIsRefusedHoweverOftenItIsThinned) {
   }
 }
 
+/// Else later laps would be tied to others of laps before, and errors would add up.
+TEST(LoopPath, KeyframesThatSeeAPlaceAgainLeaveFirst) {
+  constexpr int lap = 30;
+  loop_path path = drifting_lap(lap, 0);
+  path.reserve(200, 2);
+  int next = lap;  ///< row
+  for (int round = 0; round < 30; ++round) {
+    while (path.size() < 100) {
+      auto k = path.keyframes.back();
+      k.row = next++;
+      k.again = false;
+      path.keyframes.push_back(k);
+      if (k.row % 4 == 3) { continue; }  // not found, but between two that are
+      path_loop l = true_loop(0, 1, lap);
+      l.from = k.row % lap;
+      l.to = path.size() - 1;
+      path.add(l);
+    }
+    path.thin([&](int row) { EXPECT_GE(row, lap); });
+    ASSERT_LE(path.size(), 100 * 7 / 8) << round;
+    for (int i = 0; i < lap; ++i) { EXPECT_EQ(path.at(i).row, i); }
+  }
+}
+
 TEST(LoopPath, ThinnedOutAMapsFirstKeyframeTakesNoStepOfAnotherMap) {
   loop_path path = drifting_lap(60, 0);
   for (int i = 12; i < path.size(); ++i) {

@@ -188,7 +188,8 @@ TYPED_TEST(MonocularLoops, ItIsFoundAnywhereInALoadedMapThatStays) {
   auto p = params();
   p.rules.localize_only = true;
   odometry odo(backend.exec, rig(), p, 1, ft::loops{});
-  for (int const from : {14, 26, 48}) {
+  // Not of its first second, in which its points are adjusted after their keyframes were kept.
+  for (int const from : {26, 48, 58}) {
     std::istringstream again(file.str());
     odo.load_map(again);
     answers const a = run(odo, walk(), from, from + 3);

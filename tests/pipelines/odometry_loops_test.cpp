@@ -385,7 +385,8 @@ TYPED_TEST(OdometryLoops, APredictionIsOneInTheWorld) {
     return odo.track(images_of(f), frames * period);
   };
   auto const d = after(true).T_world_camera.t - after(false).T_world_camera.t;
-  EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-5);  // 2e-3 where it is one of the odometry
+  // Keypoints are moved to within 1/64 pixel, from either start: 0.1 mm for each of 3 m away.
+  EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-4);  // 2e-3 where it is one of the odometry
 }
 
 TYPED_TEST(OdometryLoops, RefusesWhatCannotHaveLoops) {

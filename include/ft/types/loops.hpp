@@ -14,7 +14,8 @@ inline namespace v0 {
 struct loop_params {
   bool present = false;
   /// Keyframes that are kept at a time. Before there are more, every second one of the older three
-  /// quarters leaves: the limit thins the path out, it does not end it.
+  /// quarters leaves, those first that see a place again: the limit thins the path out, it does not
+  /// end it.
   int keyframes = 1000;
   /// Keypoints with a depth that are kept of a keyframe, of all cameras together, at most, spread
   /// evenly.

@@ -18,6 +18,7 @@
 #include "ft/core/error.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/core/memory.hpp"
+#include "ft/pipelines/detail/loop_correction.hpp"
 #include "ft/pipelines/detail/loop_files.hpp"
 #include "ft/pipelines/detail/loop_frames.hpp"
 #include "ft/pipelines/detail/loop_localizer.hpp"

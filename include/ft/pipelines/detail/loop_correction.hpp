@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 
@@ -17,6 +18,28 @@
 namespace ft {
 inline namespace FT_ABI {
 namespace detail {
+
+/// Information of an edge to a pose, from that of the pose: from a twist on the left of its
+/// inverse, rotation first, to the error of a pose_graph_edge. Sums of floats are positive
+/// semidefinite up to their rounding only: the diagonal grows by more than that.
+/// @param scale of the information
+inline void edge_information(float const (&of_pose)[21], double scale, double (&to)[21]) {
+  double full[6][6];
+  bool known = true;
+  for (int i = 0, at = 0; i < 6; ++i) {
+    for (int j = i; j < 6; ++j) { full[i][j] = full[j][i] = static_cast<double>(of_pose[at++]); }
+  }
+  for (float const v : of_pose) { known = known && std::isfinite(v); }
+  for (int i = 0, at = 0; i < 6; ++i) {
+    for (int j = i; j < 6; ++j) {
+      double const half = (i < 3 ? 1.0 : 2.0) * (j < 3 ? 1.0 : 2.0);  // sines of half angles
+      double const entry = known ? full[(i + 3) % 6][(j + 3) % 6] : 0.0;
+      to[at++] = scale * half * entry * (i == j ? 1 + 1e-5 : 1.0);
+    }
+  }
+  // So that an edge of a frame about which nothing is known still holds its two poses together.
+  for (int i = 0, at = 0; i < 6; at += 6 - i, ++i) { to[at] += 100; }
+}
 
 /// Poses and edges of a path. Its first keyframe is fixed. @tparam Motion rigid<double>, or
 /// similarity<double> of a path whose scale drifts

@@ -19,28 +19,6 @@ namespace ft {
 inline namespace FT_ABI {
 namespace detail {
 
-/// Information of an edge to a pose, from that of the pose: from a twist on the left of its
-/// inverse, rotation first, to the error of a pose_graph_edge. Sums of floats are positive
-/// semidefinite up to their rounding only: the diagonal grows by more than that.
-/// @param scale of the information
-inline void edge_information(float const (&of_pose)[21], double scale, double (&to)[21]) {
-  double full[6][6];
-  bool known = true;
-  for (int i = 0, at = 0; i < 6; ++i) {
-    for (int j = i; j < 6; ++j) { full[i][j] = full[j][i] = static_cast<double>(of_pose[at++]); }
-  }
-  for (float const v : of_pose) { known = known && std::isfinite(v); }
-  for (int i = 0, at = 0; i < 6; ++i) {
-    for (int j = i; j < 6; ++j) {
-      double const half = (i < 3 ? 1.0 : 2.0) * (j < 3 ? 1.0 : 2.0);  // sines of half angles
-      double const entry = known ? full[(i + 3) % 6][(j + 3) % 6] : 0.0;
-      to[at++] = scale * half * entry * (i == j ? 1 + 1e-5 : 1.0);
-    }
-  }
-  // So that an edge of a frame about which nothing is known still holds its two poses together.
-  for (int i = 0, at = 0; i < 6; at += 6 - i, ++i) { to[at] += 100; }
-}
-
 inline similarity<double> with_scale(rigid<double> const& T, double scale = 1) {
   return {T.R, T.t, scale};
 }
@@ -61,6 +39,7 @@ struct path_keyframe {
   double information[21] = {};  ///< of the edge from the keyframe before, if that has its map
   int steps = 1;                ///< that the edge takes the place of: each is as uncertain
   bool loaded = false;          ///< it came with a file
+  bool again = false;           ///< it sees what an older one saw first
 };
 
 /// A keyframe seen from another one.
@@ -241,6 +220,10 @@ struct loop_path {
     return chi2(a) < likely && chi2(b) < likely;
   }
 
+  void add(path_loop const& loop) {
+    keyframes[static_cast<std::size_t>(loop.to)].again = true;
+    loops.push_back(loop);
+  }
   /// Ties a keyframe that follows to keyframe `beside`, beside which its place is known: as of the
   /// newest one nothing is known of their motion. @param inliers of its pose
   void tie(int inliers, path_keyframe& k) {
@@ -254,6 +237,7 @@ struct loop_path {
     loops.push_back(l);
     k.part = at(beside).part;
     k.step = 0;
+    k.again = true;
     for (int i = 0, n = 0; i < 6; ++i) {
       for (int j = i; j < 6; ++j) { k.information[n++] = i == j ? 1e-6 : 0; }
     }
@@ -280,8 +264,8 @@ struct loop_path {
         k.T_world_camera = (moved * k.T_world_camera).orthonormalized();
       }
       joints.clear();
-      loops.push_back(first);
-      loops.push_back(loop);
+      add(first);
+      add(loop);
       return 2;
     }
     if (joints.size() == most_joints) { joints.erase(joints.begin()); }
@@ -289,23 +273,18 @@ struct loop_path {
     return 0;
   }
 
-  /// Of the older three quarters every second keyframe of a map leaves. Its loops become those of
-  /// the keyframe before it, of which each keeps four. Where an eighth would not leave so, for maps
-  /// have one keyframe each, the older half does. Allocates nothing. @param freed gets the rows of
+  /// Of the older three quarters every second keyframe of a map leaves, of those that see a place
+  /// again: what is new later stays tied to what saw a place first, else errors would add up lap by
+  /// lap. Where an eighth would not leave so, every second of all; where that is not enough, for
+  /// maps have one keyframe each, the older half. Loops of one that leaves become those of the
+  /// keyframe before it, of which each keeps four. Allocates nothing. @param freed gets the rows of
   /// those that leave
   template <typename Freed>
   void thin(Freed const& freed) {
     joints.clear();
-    int const older = size() * 3 / 4;
-    now_.assign(keyframes.size(), 0);
-    int kept = 0;
-    bool left = false;
-    for (int i = 0; i < size(); ++i) {
-      left = i > 0 && i < older && !left && at(i).map == at(i - 1).map;
-      now_[static_cast<std::size_t>(i)] = left ? kept - 1 : kept;
-      kept += left ? 0 : 1;
-    }
-    if (8 * (size() - kept) < size()) {
+    note_what_sees_again();
+    if (8 * number_those_that_stay(true) > 7 * size() &&
+        8 * number_those_that_stay(false) > 7 * size()) {
       for (int i = 0; i < size(); ++i) {
         now_[static_cast<std::size_t>(i)] = std::max(i - size() / 2, -1);
       }
@@ -316,6 +295,28 @@ struct loop_path {
   }
 
 private:
+  /// Those between two that see a place again, next to them or one farther, do so, too: a search
+  /// may find nothing, and runs for the newest one alone.
+  void note_what_sees_again() {
+    auto const sees = [this](int i) { return i >= 0 && i < size() && at(i).again; };
+    for (int i = 0; i < size(); ++i) {
+      bool const between = (sees(i - 1) || sees(i - 2)) && (sees(i + 1) || sees(i + 2));
+      if (between) { keyframes[static_cast<std::size_t>(i)].again = true; }
+    }
+  }
+  /// @param again those that leave see a place again @return how many stay
+  int number_those_that_stay(bool again) {
+    now_.assign(keyframes.size(), 0);
+    int kept = 0;
+    bool left = false;
+    for (int i = 0; i < size(); ++i) {
+      left = (at(i).again || !again) && i > 0 && i < size() * 3 / 4 && !left &&
+             at(i).map == at(i - 1).map;
+      now_[static_cast<std::size_t>(i)] = left ? kept - 1 : kept;
+      kept += left ? 0 : 1;
+    }
+    return kept;
+  }
   /// Loops of keyframes that leave become those of the keyframe that stands for them.
   void move_loops() {
     for (path_loop& l : loops) {
@@ -367,8 +368,7 @@ private:
 
   static double length(vec3<double> const& v) { return std::sqrt(dot(v, v)); }
   static double angle(mat3<double> const& R) {
-    double const cosine = (R.m[0] + R.m[4] + R.m[8] - 1) / 2;
-    return std::acos(cosine > 1 ? 1 : (cosine < -1 ? -1 : cosine));
+    return std::acos(std::clamp((R.m[0] + R.m[4] + R.m[8] - 1) / 2, -1.0, 1.0));
   }
   /// Translation, and half the vector of a small rotation.
   static void edge_error(rigid<double> const& T, double (&e)[6]) {

@@ -333,7 +333,7 @@ private:
     if (path.at(loop.from).part != path.at(query()).part) {
       closed += path.join(loop);
     } else if (path.fits(loop, params, baseline)) {  // also after the join by another one
-      path.loops.push_back(loop);
+      path.add(loop);
       ++closed;
     }
   }

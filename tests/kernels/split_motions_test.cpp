@@ -42,7 +42,7 @@ struct scene {
   double half_wide = 160, half_high = 120;  ///< pixels, of the thing
   float near = 1.5f, far = 5;               ///< the rest
   float depth = 2;                          ///< the thing
-  int common = 400;          ///< errors that neighbours shared in the last frame, 1 / 1024
+  int common = 129;          ///< errors that neighbours shared in the last frame, 1 / 1024
   float noise = 0.3f;        ///< pixels
   bool lately = false;       ///< there were two motions half a second ago
   std::uint64_t places = 0;  ///< parts of the image where the other one was then
@@ -215,7 +215,7 @@ TYPED_TEST(SplitMotions, LooksWhereNeighboursErredAlikeOrMotionsWereTwoLately) {
   TypeParam backend;
   using room_type = room<typename TypeParam::exec_type, ft::rectified_rig>;
   scene s;
-  s.common = 20;
+  s.common = 128;
   room_type const calm(backend.exec, s);
   EXPECT_EQ(calm.track().facts.apart, 0);
   EXPECT_NEAR(calm.off(), s.wrong_by, 1e-6);

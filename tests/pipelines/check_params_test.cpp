@@ -164,7 +164,8 @@ SETTINGS_OF(ft::loop_params, present, keyframes, points, recent, groups, votes, 
             min_inliers, min_share, max_drift, max_turn, max_scale_drift)
 SETTINGS_OF(ft::odometry_params, orb, rules, map_slots, keyframes, local_points, local_map,
             window_radius, enough_matches, window, window_points, adjustment, adjustment_delay,
-            start, imu, loops, own_features, use_graphs, measure_stages, prefetch, overlap)
+            start, imu, loops, own_features, align_keypoints, use_graphs, measure_stages, prefetch,
+            overlap)
 SETTINGS_OF(ft::tracker_params, orb, map_slots, local_points, updates, window_radius,
             enough_matches, optimize_last, optimize_local, use_graphs, measure_stages, overlap)
 #undef SETTINGS_OF

@@ -72,9 +72,10 @@ private:
   using two = typename motion_search<Rig>::scratch;
   using of_frame = frame_observations<Rig>;
   using limit = motion_limits;
-  /// Errors that neighbours share, in 1 / 1024 of their variance: from where a pose is in doubt
-  /// (warning_limits::common_errors). Depths that are off in a part of the images share less.
-  static constexpr int shared = 256;
+  /// Errors that neighbours share, in 1 / 1024 of their variance: half of where a pose is in doubt
+  /// (warning_limits::common_errors). Clean recordings have less than 140, generated images 12
+  /// (bench/lab_notes.md).
+  static constexpr int shared = 128;
   static constexpr std::int64_t lasting_ns = 1000000000;
 
   FT_HOST_DEVICE static bool is_wanted(camera_track const& t) {

@@ -115,6 +115,14 @@ TEST(variance_of_unit_weight, is_that_of_the_inliers_errors_where_there_are_many
   EXPECT_EQ(ft::detail::variance_of(facts), 1.0) << "fewer numbers than a pose has";
 }
 
+TEST(variance_of_unit_weight, grows_by_the_errors_of_points_while_the_camera_moves) {
+  EXPECT_EQ(ft::detail::variance_with_points(0, 0), 1.0);
+  EXPECT_EQ(ft::detail::variance_with_points(80, 80), 1.0);
+  EXPECT_EQ(ft::detail::variance_with_points(80, 90), 1.0);
+  EXPECT_EQ(ft::detail::variance_with_points(80, 40), 1.2);
+  EXPECT_EQ(ft::detail::variance_with_points(80, 0), 1.4);
+}
+
 TYPED_TEST(odometry_pipeline, gives_the_same_answers_in_every_run_and_launch_by_launch) {
   if (!test::whole_effort()) { GTEST_SKIP() << "FT_TEST_EFFORT asks for less"; }
   TypeParam backend;

@@ -161,7 +161,8 @@ struct tracking {
   /// Row-major 6 x 6 covariance of a small twist x, rotation first, in T_world_camera * exp(x):
   /// rad^2, rad m and m^2. It is the inverse of the Gauss-Newton matrix of the last pose
   /// optimisation without the IMU, times the variance that the inliers' errors have, 1 for a camera
-  /// that was found by its words: errors of keypoints, not of map points.
+  /// that was found by its words, and up to 1.4 for those of map points, less of a camera at rest.
+  /// Errors that points share are not in it: over a second a motion is farther off.
   /// 0 for the frame that begins the first map, whose pose is exact; infinite on the diagonal for a
   /// frame that was not tracked.
   double covariance[36] = {};

@@ -39,6 +39,13 @@ inline double variance_of(frame_facts const& facts) {
   return (misfit + assumed) / (std::max(facts.rows - 6, 0) + assumed);
 }
 
+/// By how much errors of the map's points add to the variance of a keypoint's: each point is what
+/// two or three keyframes saw, 1 / 2.5. Of a camera at rest they are the same in each frame, and no
+/// motion has them.
+inline double variance_with_points(int inliers, int resting) {
+  return inliers > 0 ? 1 + 0.4 * (inliers - std::min(resting, inliers)) / inliers : 1.0;
+}
+
 /// Inverts an information matrix. The covariance of one that is not positive definite is unknown.
 /// @param upper its upper triangle by rows @param variance of unit weight
 inline void invert_information(float const* upper, double variance, double (&out)[36]) {
@@ -87,7 +94,8 @@ inline tracking tracking_of(odometry_output const& o) {
   t.start_matches = o.start.matches;
   if (o.begins_first_map != 0) { return t; }
   if (o.inliers > 0) {
-    invert_information(o.information, variance_of(o.facts), t.covariance);
+    double const points = variance_with_points(o.inliers, o.facts.resting);
+    invert_information(o.information, points * variance_of(o.facts), t.covariance);
   } else {
     unknown_covariance(t.covariance);
   }

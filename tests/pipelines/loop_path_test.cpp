@@ -470,6 +470,20 @@ TEST(LoopPath, KeyframesThatSeeAPlaceAgainLeaveFirst) {
   }
 }
 
+TEST(LoopPath, AMapBetweenOthersThatSeeAPlaceAgainIsNew) {
+  loop_path path = drifting_lap(60, 0);
+  for (int i = 0; i < path.size(); ++i) {
+    auto& k = path.keyframes[at(i)];
+    bool const between = i == 20 || i == 21;
+    k.map = between ? 2 : (i < 20 ? 1 : 3);
+    k.again = !between;
+  }
+  std::vector<int> freed;
+  path.thin([&](int row) { freed.push_back(row); });
+  EXPECT_GT(freed.size(), at(15));
+  EXPECT_EQ(std::count(freed.begin(), freed.end(), 21), 0);
+}
+
 TEST(LoopPath, ThinnedOutAMapsFirstKeyframeTakesNoStepOfAnotherMap) {
   loop_path path = drifting_lap(60, 0);
   for (int i = 12; i < path.size(); ++i) {

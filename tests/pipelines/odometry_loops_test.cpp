@@ -375,7 +375,9 @@ TYPED_TEST(OdometryLoops, APredictionIsOneInTheWorld) {
   using exec_type = typename TypeParam::exec_type;
   auto const rig = test::room::rig();
   auto const after = [&](bool predict) {
-    ft::odometry<exec_type> odo(backend.exec, rig, params(), 1, ft::loops{});
+    auto p = params();
+    p.align_keypoints = false;  // from another start they end up to 1/64 pixel elsewhere
+    ft::odometry<exec_type> odo(backend.exec, rig, p, 1, ft::loops{});
     answers const a = run(odo, rig, frames - 1);
     EXPECT_GT(a.closed, 0);
     auto const next = pose_at(frames - 2).inverse().template cast<double>() *
@@ -385,8 +387,7 @@ TYPED_TEST(OdometryLoops, APredictionIsOneInTheWorld) {
     return odo.track(images_of(f), frames * period);
   };
   auto const d = after(true).T_world_camera.t - after(false).T_world_camera.t;
-  // Keypoints are moved to within 1/64 pixel, from either start: 0.1 mm for each of 3 m away.
-  EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-4);  // 2e-3 where it is one of the odometry
+  EXPECT_LT(std::sqrt(ft::dot(d, d)), 1e-5);  // 2e-3 where it is one of the odometry
 }
 
 TYPED_TEST(OdometryLoops, RefusesWhatCannotHaveLoops) {

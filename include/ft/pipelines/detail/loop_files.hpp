@@ -258,6 +258,7 @@ saved_loops<staging_space<Exec>> read_loops(loop_archive_view const& like,
     check_saved_similarity(l.T_from_to, most.scaled);
     require_saved("the information of a scale", l.scale_information, 0.0, 1e30);
     check_saved_information(l.information);
+    to.keyframes[static_cast<std::size_t>(l.to)].again = true;
     to.loops.push_back(l);
   }
   if (!in.at_end()) { throw error("ft: the loops of the map file are damaged: too many numbers"); }

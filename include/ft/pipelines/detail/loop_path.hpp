@@ -220,6 +220,7 @@ struct loop_path {
     return chi2(a) < likely && chi2(b) < likely;
   }
 
+  /// Adds a loop: the keyframe that it leads to sees a place again.
   void add(path_loop const& loop) {
     keyframes[static_cast<std::size_t>(loop.to)].again = true;
     loops.push_back(loop);
@@ -295,11 +296,13 @@ struct loop_path {
   }
 
 private:
-  /// Those between two that see a place again, next to them or one farther, do so, too: a search
-  /// may find nothing, and runs for the newest one alone.
+  /// Those between two of their map that see a place again, next to them or one farther, do so,
+  /// too: a search may find nothing, and runs for the newest one alone.
   void note_what_sees_again() {
-    auto const sees = [this](int i) { return i >= 0 && i < size() && at(i).again; };
     for (int i = 0; i < size(); ++i) {
+      auto const sees = [&](int k) {
+        return k >= 0 && k < size() && at(k).again && at(k).map == at(i).map;
+      };
       bool const between = (sees(i - 1) || sees(i - 2)) && (sees(i + 1) || sees(i + 2));
       if (between) { keyframes[static_cast<std::size_t>(i)].again = true; }
     }

@@ -114,6 +114,7 @@ struct plane_scene {
     look_from(ft::rigid<double>::identity());
     for (int b = 0; b < batch; ++b) {
       v.order[b] = b == unseen ? ft::keyframe_order::none : ft::keyframe_order::add;
+      v.map.keyframes.made[b] = 2;
       auto const kp = v.keypoints.slice(b);
       *kp.count = capacity - b;
       for (int i = 0; i < capacity; ++i) {
@@ -344,6 +345,15 @@ TYPED_TEST(AlignKeypoints, KeepTheirFirstPatch) {
     EXPECT_LT(b.x, 1.0f);
   }
   EXPECT_EQ(kept, (capacity - 0) + (capacity - 1));
+  // Those that gave a patch count as aligned in their keyframe, number 2 of a ring of 4.
+  ft::keyframes_view const& k = v.map.keyframes;
+  int aligned = 0;
+  for (int b = 0; b < batch; ++b) {
+    for (int i = 0; i < *v.keypoints.slice(b).count; ++i) {
+      aligned += k.aligned[k.at(b, 1, i)] == 1 ? 1 : 0;
+    }
+  }
+  EXPECT_EQ(aligned, kept);
 }
 
 }  // namespace align_keypoints_test

@@ -282,6 +282,33 @@ TYPED_TEST(inertial_pose, a_state_that_nothing_determines_stays) {
   EXPECT_EQ(b.result[0].tracked, 0);
 }
 
+/// Some are off by a third of a pixel, which are no outliers.
+TYPED_TEST(inertial_pose, aligned_keypoints_that_are_off_count_less) {
+  inertial_scene<ft::rectified_rig> scene(13);
+  inertial_pose_batch b;
+  inertial_shape shape;
+  shape.observations = 160;
+  shape.imu_steps = 300;
+  auto const truth = scene.add(b, shape);
+  for (std::size_t i = 0; i < b.observations[0].size(); ++i) {
+    ft::observation& o = b.observations[0][i];
+    o.inv_sigma2 = ft::weight_of_aligned;
+    if (i % 8 == 0) {
+      o.u += 0.35f;
+      o.right_u += o.right_u < 0 ? 0.0f : 0.35f;
+    }
+  }
+  auto const error = [&] {
+    this->run(scene, b);
+    EXPECT_EQ(b.result[0].tracked, 160);
+    return length(last_state(b.result[0]).p - truth.frame.p);
+  };
+  double const as_corners = error();
+  b.moves.assign(160, 0.0f);
+  EXPECT_GT(as_corners, 1e-4);
+  EXPECT_LT(error(), as_corners / 2);
+}
+
 // ---- one body on all executors ------------------------------------------------------------------
 
 template <typename Rig, typename Run>
@@ -298,6 +325,8 @@ void compare_with_one_thread(Run const& run, unsigned seed) {
     shape.imu_steps = i % 5 == 4 ? 1 : 1 + 3 * i;
     scene.add(b, shape);
   }
+  b.moves.resize(b.size() * 1100);
+  for (std::size_t i = 0; i < b.moves.size(); ++i) { b.moves[i] = static_cast<float>(i % 3) - 1; }
   inertial_pose_batch alone = b;
   run(scene, b);
   test::optimize(ft::host_exec(1), scene.rig, scene.mount, {}, alone);

@@ -74,7 +74,8 @@ struct room {
     params.wanted_near_points = 12;
   }
   ft::keyframe_input<Rig> input(test::frames_view const& v) const {
-    return {make_rig<Rig>(), v.frame(), v.order, v.T_cw, v.time_ns, v.depth, v.point, geometry};
+    return {make_rig<Rig>(), v.frame(), v.order,  v.T_cw, v.time_ns,
+            v.depth,         v.point,   geometry, v.moves};
   }
   void insert() {
     map.push(exec);

@@ -53,6 +53,7 @@ void fill(ft::odometry_map_view const& v) {
       k.octave[at] = n % 8;
       k.holder[at] = (n + i) % slots;
       k.holder_number[at] = n * i;
+      k.aligned[at] = static_cast<unsigned char>((n + i) % 2);
     }
   }
   for (int s = 0; s < slots; ++s) {
@@ -110,6 +111,7 @@ TYPED_TEST(OrderKeyframes, AllOfAKeyframeGoesWithIt) {
       ASSERT_EQ(k.octave[at], n % 8);
       ASSERT_EQ(k.holder[at], (n + i) % slots);
       ASSERT_EQ(k.holder_number[at], n * i);
+      ASSERT_EQ(k.aligned[at], (n + i) % 2);
     }
     for (int s = 0; s < slots; ++s) {
       bool const sees = (to.host.records.mask(0, s)[p / 64] >> (p % 64) & 1) != 0;

@@ -215,7 +215,7 @@ TYPED_TEST(SplitMotions, LooksWhereNeighboursErredAlikeOrMotionsWereTwoLately) {
   TypeParam backend;
   using room_type = room<typename TypeParam::exec_type, ft::rectified_rig>;
   scene s;
-  s.common = 128;
+  s.common = 96;
   room_type const calm(backend.exec, s);
   EXPECT_EQ(calm.track().facts.apart, 0);
   EXPECT_NEAR(calm.off(), s.wrong_by, 1e-6);

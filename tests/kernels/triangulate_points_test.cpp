@@ -357,6 +357,7 @@ TYPED_TEST(triangulate_points, enter_the_keyframe_that_they_were_made_with) {
     r.map.host.records.mask(0, slot)[0] = std::uint64_t{1} << keyframes;
     ++slot;
   }
+  for (int i = 0; i < kf.keypoints[0]; ++i) { kf.aligned[kf.at(0, 0, i)] = 1; }  // of other points
   r.map.push(r.exec);
   r.frames.push(r.exec);
   ft::enter_partners(r.exec, r.input(), true, r.map.device, r.rays.device.rays, r.rays.device.out);
@@ -371,6 +372,7 @@ TYPED_TEST(triangulate_points, enter_the_keyframe_that_they_were_made_with) {
     if (s < held) { continue; }
     ++entered;
     EXPECT_EQ(kf.holder_number[at], 100 + s);
+    EXPECT_EQ(kf.aligned[at], 0) << "where no patch of this point was";
     EXPECT_EQ(r.map.host.records.mask(0, s)[0], (std::uint64_t{1} << keyframes) | 1u);
     EXPECT_EQ(r.map.host.points.slice(0).observations(s), 2);
   }

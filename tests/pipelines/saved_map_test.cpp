@@ -163,7 +163,7 @@ std::string with_hash(std::string file) {
 
 struct field {
   std::string name;
-  char kind;                      ///< i: int, f: float, d: double, m: mask or time
+  char kind;                      ///< i: int, f: float, d: double, m: mask or time, c: byte
   std::size_t begin, end;         ///< bytes
   std::vector<std::size_t> live;  ///< bytes of elements that are in use
 };
@@ -217,7 +217,8 @@ layout layout_of(std::string const& file) {
                                     {"right_x", 'f', positions * capacity, 4, 1},
                                     {"octave", 'i', positions * capacity, 4, 1},
                                     {"holder", 'i', positions * capacity, 4, 1},
-                                    {"holder_number", 'i', positions * capacity, 4, 1}};
+                                    {"holder_number", 'i', positions * capacity, 4, 1},
+                                    {"aligned", 'c', positions * capacity, 1, 1}};
   for (column const& c : columns) {
     std::size_t const bytes = c.rows * c.size * c.of_row;
     all.fields.push_back({c.name, c.kind, next, next + bytes, {}});
@@ -262,6 +263,8 @@ std::vector<std::function<void(std::string&, std::size_t)>> changes_of(char kind
                                  std::int64_t{64}, std::int64_t{1}}) {
       add(v);
     }
+  } else if (kind == 'c') {
+    for (int const v : {0, 1, 2, 255}) { add(static_cast<unsigned char>(v)); }
   } else {
     for (double const v : {nan, infinity, -infinity, 0.0, -1.0, 1e30, 1e-30, 1e9}) {
       if (kind == 'f') {
@@ -281,7 +284,7 @@ TEST(SavedMap, EachFieldIsRefusedOrHarmless) {
   odometry odo = made();
   std::map<std::string, int> refused, taken;
   for (field const& f : of.fields) {
-    std::size_t const size = f.kind == 'i' || f.kind == 'f' ? 4 : 8;
+    std::size_t const size = f.kind == 'c' ? 1 : f.kind == 'i' || f.kind == 'f' ? 4 : 8;
     for (auto const& change : changes_of(f.kind)) {
       for (int const everywhere : {0, 1}) {
         if (everywhere == 1 && !test::whole_effort()) { continue; }
@@ -344,6 +347,7 @@ TEST(SavedMap, NumbersOutOfRangeAreNamed) {
       {"x", 1e9, "a keypoint's x 1e+09, must be in [-1e+06, 1e+06]"},
       {"right_x", NAN, "a keypoint's right x nan"},
       {"T_cw", 0.5, "a rotation"},
+      {"aligned", 2, "whether a keypoint is aligned 2, must be in [0, 1]"},
   };
   for (fault const& wrong : faults) {
     auto const f = std::find_if(of.fields.begin(), of.fields.end(),
@@ -360,6 +364,9 @@ TEST(SavedMap, NumbersOutOfRangeAreNamed) {
         break;
       case 'f':
         write(file, where, static_cast<float>(wrong.value));
+        break;
+      case 'c':
+        write(file, where, static_cast<unsigned char>(wrong.value));
         break;
       default:
         write(file, where, wrong.value);
@@ -400,7 +407,7 @@ TEST(SavedMap, AnOldVersionIsRefusedWithWords) {
   write(file, 16, 1);
   odometry odo = made();
   EXPECT_EQ(refusal(odo, file),
-            "ft: the map file has version 1, this ft reads version 2: the map has to be made anew");
+            "ft: the map file has version 1, this ft reads version 3: the map has to be made anew");
 }
 
 /// A stream without an end that counts what it gave.

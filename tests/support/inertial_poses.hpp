@@ -20,6 +20,7 @@ struct inertial_pose_batch {
   std::vector<ft::inertial_prior> prior;
   std::vector<std::vector<ft::observation>> observations;
   std::vector<std::vector<float>> distance;
+  std::vector<float> moves;  ///< of inertial_poses, keypoint i is observation i; empty: none
   // Results.
   int capacity = 0;
   std::vector<ft::inertial_pose_result> result;
@@ -66,6 +67,12 @@ void optimize(Exec const& exec, Rig const& rig, ft::imu_mount const& mount,
   if (b.outlier.size() != places) { b.outlier.assign(places, 0); }
   auto const outlier = to_exec(exec, b.outlier);
   auto const chi2 = to_exec(exec, std::vector<float>(ft::inertial_rounds * places));
+  std::vector<int> number(places);
+  for (std::size_t i = 0; i < places; ++i) {
+    number[i] = static_cast<int>(i % static_cast<std::size_t>(b.capacity));
+  }
+  auto const d_number = to_exec(exec, number);
+  auto const moves = to_exec(exec, b.moves);
   ft::inertial_poses const poses{static_cast<int>(b.size()),
                                  b.capacity,
                                  from.data(),
@@ -81,7 +88,10 @@ void optimize(Exec const& exec, Rig const& rig, ft::imu_mount const& mount,
                                  result.data(),
                                  next.data(),
                                  outlier.data(),
-                                 chi2.data()};
+                                 chi2.data(),
+                                 d_number.data(),
+                                 b.moves.empty() ? nullptr : moves.data(),
+                                 b.capacity};
   ft::optimize_inertial_poses(exec, rig, mount, poses, params);
   if (!params.marginalizes) { ft::marginalize_inertial_poses(exec, rig, mount, poses, params); }
   b.result = from_exec(exec, result.data(), b.size());

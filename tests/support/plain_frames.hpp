@@ -32,6 +32,7 @@ struct frames_view {
   ft::vec3<float>* point = nullptr;
   int* held = nullptr;
   int* left_out = nullptr;
+  float* moves = nullptr;  ///< of keyframe_input
   int cameras = 1;
   int searches = 1;  ///< as of a rig: the cameras of a multi_rig, else 1
   int batch = 1;
@@ -73,6 +74,7 @@ inline void carve(ft::carver& c, frames_view& v, int capacity, int cameras, int 
   v.point = c.take<ft::vec3<float>>(with_depth);
   v.held = c.take<int>(b);
   v.left_out = c.take<int>(b);
+  v.moves = c.take<float>(n * static_cast<std::size_t>(cameras));
 }
 
 inline ft::descriptor random_descriptor(std::mt19937& random, unsigned seed) {
@@ -118,6 +120,7 @@ inline void randomize_frame(std::mt19937& random, frames_view const& v, int b, p
   for (int n = 0; n < v.numbers(); ++n) {
     auto const at = static_cast<std::ptrdiff_t>(b) * v.numbers() + n;
     v.partner[at] = -1;
+    v.moves[at] = static_cast<float>(random() % 3) - 1;
     v.holder[at] = static_cast<int>(random() % static_cast<unsigned>(slots + 4)) - 2;
     for (int tries = 0; tries < 4 && v.holder[at] >= 0 && v.holder[at] < slots &&
                         map.points[index(v.holder[at])].number == 0;
@@ -389,7 +392,8 @@ private:
         made.cameras.back().push_back(
             {static_cast<float>(column(k.x(i), o)), static_cast<float>(row(k.y(i), o)),
              right < 0 ? -1 : static_cast<float>(column(right, o)), o, holds ? slot : -1,
-             holds ? map.points[index(slot)].number : 0});
+             holds ? map.points[index(slot)].number : 0,
+             holds && in_.moves != nullptr && in_.moves[b_ * in_.frame.numbers() + n] >= 0});
         bool first = holds;
         for (int before = 0; before < c; ++before) {
           first = first && claims_[index(before)].count(slot) == 0;

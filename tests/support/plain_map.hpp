@@ -68,6 +68,7 @@ struct plain_point {
 struct plain_keypoint {
   float x, y, right_x;
   int octave, holder, holder_number;
+  bool aligned = false;
 };
 
 struct plain_keyframe {
@@ -142,8 +143,8 @@ inline plain_map read_map(ft::odometry_map_view const& v, int b) {
       f.cameras.emplace_back();
       for (int i = 0; i < k.keypoints[at * k.cameras + c]; ++i) {
         std::ptrdiff_t const to = k.at(b, k.position(n), c * k.capacity + i);
-        f.cameras.back().push_back(
-            {k.x[to], k.y[to], k.right_x[to], k.octave[to], k.holder[to], k.holder_number[to]});
+        f.cameras.back().push_back({k.x[to], k.y[to], k.right_x[to], k.octave[to], k.holder[to],
+                                    k.holder_number[to], k.aligned[to] != 0});
       }
     }
     m.keyframes[n] = f;
@@ -230,6 +231,7 @@ inline void expect_same_keyframe(plain_keyframe const& a, plain_keyframe const& 
       EXPECT_EQ(p.octave, q.octave);
       EXPECT_EQ(p.holder, q.holder) << "camera " << c << ", keypoint " << i;
       EXPECT_EQ(p.holder_number, q.holder_number);
+      EXPECT_EQ(p.aligned, q.aligned);
     }
   }
 }

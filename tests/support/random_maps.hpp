@@ -61,6 +61,7 @@ inline void write_map(plain_map const& m, ft::odometry_map_view const& v, int b)
         k.octave[to] = keypoints[i].octave;
         k.holder[to] = keypoints[i].holder;
         k.holder_number[to] = keypoints[i].holder_number;
+        k.aligned[to] = keypoints[i].aligned ? 1 : 0;
       }
     }
   }
@@ -79,7 +80,8 @@ inline plain_keypoint random_keypoint(std::mt19937& random, int holder, int numb
           random() % 3 == 0 ? -1.0f : pixel(random),
           static_cast<int>(random() % 4),
           holder,
-          number};
+          number,
+          random() % 3 == 0};
 }
 
 /// Adds a point at a slot, seen by some of the keyframes from `first` on.

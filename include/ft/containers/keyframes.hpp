@@ -49,13 +49,16 @@ struct keyframes_view {
   int* octave = nullptr;         ///< [batch][positions][numbers]
   int* holder = nullptr;         ///< [batch][positions][numbers] slot, -1 = none
   int* holder_number = nullptr;  ///< [batch][positions][numbers] of the point, 0 = none
+  /// [batch][positions][numbers] 1 = the keypoint is where its point's patch is: it was moved
+  /// there, or the patch is its own
+  unsigned char* aligned = nullptr;
 
   template <typename Visit>
   void columns(Visit&& each) {
     each({batch}, made, count);
     each({batch, positions}, T_cw, time_ns, neighbour, shared);
     each({batch, positions, cameras}, keypoints);
-    each({batch, positions, numbers()}, x, y, right_x, octave, holder, holder_number);
+    each({batch, positions, numbers()}, x, y, right_x, octave, holder, holder_number, aligned);
   }
   FT_HOST_DEVICE int numbers() const { return cameras * capacity; }
   /// Position of a keyframe. @pre number >= 1

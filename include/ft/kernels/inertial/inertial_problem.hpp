@@ -87,6 +87,10 @@ struct inertial_poses {
   /// [problems][inertial_rounds][capacity] squared weighted errors by which each round judged the
   /// observations; rounds that were not made are not written
   float* chi2;
+  // Inputs that may be left out.
+  int const* number = nullptr;   ///< [problems][capacity] keypoint of an observation
+  float const* moves = nullptr;  ///< [problems][numbers] of keypoints, as in frames_in_map
+  int numbers = 0;               ///< keypoints of a frame at most
 };
 
 // Errors of an integral and of a prior, and their derivatives by the states.

@@ -6,6 +6,7 @@
 
 #include "ft/containers/inertial.hpp"
 #include "ft/containers/map_points.hpp"
+#include "ft/containers/point_patches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -51,8 +52,12 @@ struct inertial_pose_item {
 protected:
   FT_HOST_DEVICE static inertial_observations observations_of(int b, inertial_poses const& in) {
     auto const at = static_cast<std::ptrdiff_t>(b) * in.capacity;
-    return {in.observations + at, in.distance == nullptr ? nullptr : in.distance + at,
-            in.outlier + at, clamp(in.count[b], 0, in.capacity)};
+    return {in.observations + at,
+            in.distance == nullptr ? nullptr : in.distance + at,
+            in.outlier + at,
+            clamp(in.count[b], 0, in.capacity),
+            in.number == nullptr ? nullptr : in.number + at,
+            in.moves == nullptr ? nullptr : in.moves + static_cast<std::ptrdiff_t>(b) * in.numbers};
   }
   /// The integral whose walk counts.
   FT_HOST_DEVICE preintegrated const& walk_of(int b, inertial_poses const& in, bool both) const {
@@ -264,6 +269,7 @@ private:
       bool const is_mono = r.rows == 2;
       strict_float limit = is_mono ? mono_limit : stereo[round];
       if (is_mono && is_close(seen, i, r.in_pose)) { limit *= strict_float(1.5f); }
+      if (seen.is_aligned(i)) { limit *= strict_float(aligned_inlier); }
       // Written so that a NaN is an outlier.
       bool const inlier = chi2[i] <= limit.value && (!is_mono || r.z > real64(0.0));
       seen.outlier[i] = inlier ? 0 : 1;

@@ -29,6 +29,7 @@ struct order_keyframe {
       to.octave[b] = from.octave[a];
       to.holder[b] = from.holder[a];
       to.holder_number[b] = from.holder_number[a];
+      to.aligned[b] = from.aligned[a];
     }
     if (g.rank() != 0) { return; }
     to.T_cw[now] = from.T_cw[position];

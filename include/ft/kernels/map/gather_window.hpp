@@ -6,6 +6,7 @@
 
 #include "ft/containers/image_pyramid.hpp"
 #include "ft/containers/odometry_map.hpp"
+#include "ft/containers/point_patches.hpp"
 #include "ft/containers/window_problem.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
@@ -156,7 +157,8 @@ struct gather_view {
       if (map.records.number[record] != keyframes.holder_number[at]) { continue; }
       int const p = sources.point_of_slot[record];
       if (p < 0) { continue; }
-      float const weight = in.geometry.inv_sigma2[keyframes.octave[at]];
+      float const corner = in.geometry.inv_sigma2[keyframes.octave[at]];
+      float const weight = keyframes.aligned[at] != 0 ? mul(weight_of_aligned, corner) : corner;
       std::ptrdiff_t const to = problem.sighting(b, p, v, c);
       problem.seen[to] = {keyframes.x[at], keyframes.y[at], keyframes.right_x[at], weight};
       sources.keypoint[to] = keypoint;

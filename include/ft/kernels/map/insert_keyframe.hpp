@@ -81,6 +81,8 @@ private:
     to.x[at] = in.geometry.column(get<field::x>(keypoints, i), octave);
     to.y[at] = in.geometry.row(get<field::y>(keypoints, i), octave);
     to.octave[at] = octave;
+    std::ptrdiff_t const item = static_cast<std::ptrdiff_t>(b) * in.frame.numbers() + number;
+    to.aligned[at] = in.moves != nullptr && slot >= 0 && in.moves[item] >= 0 ? 1 : 0;
     float const right_x = right_column<Rig>(in.frame, b, c, i);
     to.right_x[at] = right_x < 0 ? -1.0f : in.geometry.column(right_x, octave);
     to.holder[at] = slot;

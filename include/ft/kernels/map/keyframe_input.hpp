@@ -54,6 +54,8 @@ struct keyframe_input {
   /// [batch][capacity] in the left camera's frame, metres; not read for a rectified pair.
   vec3<float> const* point = nullptr;
   pyramid_geometry geometry;
+  /// [batch][cameras * capacity] as in frames_in_map; null: no keypoint was moved
+  float const* moves = nullptr;
 };
 
 struct keyframe_params {

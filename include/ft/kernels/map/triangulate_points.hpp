@@ -363,6 +363,7 @@ struct enter_partner {
     int const q = kf.position(number);
     std::ptrdiff_t const at = kf.at(b, q, from.keypoint[item]);
     kf.holder[at] = slot;
+    kf.aligned[at] = 0;
     kf.holder_number[at] = map.records.number[map.records.at(b, slot)];
     map.records.mask(b, slot)[q / 64] |= std::uint64_t{1} << (q % 64);
     get<field::observations>(map.points.slice(b), slot) = map.records.observers(b, slot);

@@ -327,6 +327,8 @@ struct keep_patch {
     patch.y = (y - real(static_cast<float>(v))).value;
     write_axes(seen, images.geometry.scale[octave], patch);
     to.number[at] = seen.valid ? map.records.number[at] : 0;
+    keyframes_view const& keyframes = map.keyframes;
+    keyframes.aligned[keyframes.at(b, keyframes.position(keyframes.made[b]), number)] = 1;
   }
 
 private:

@@ -144,7 +144,7 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
     reprojection<Rig, real> const r(rig, now, o);
     int const x = whole(r.error[0]), y = whole(r.error[1]);
     float const move = moves == nullptr ? -1.0f : moves[in.number[at]];
-    real const weight = move >= 0 ? real(o.inv_sigma2) / weight_of_moved : real(o.inv_sigma2);
+    real const weight = move >= 0 ? real(o.inv_sigma2) / weight_of_aligned : real(o.inv_sigma2);
     if (in.outlier[at] == 0) {
       reprojection<Rig, real> const since(rig, before, o);
       int const dx = whole(since.error[0]), dy = whole(since.error[1]);

@@ -30,13 +30,9 @@ struct frames_in_map {
   /// a camera. Null: none does
   unsigned char const* fixed = nullptr;
   /// [batch][cameras * capacity] 0 or more = the keypoint is where its point's patch is, and counts
-  /// `weight_of_moved` times. Null: none is
+  /// `weight_of_aligned` times. Null: none is
   float const* moves = nullptr;
 };
-
-/// Weight of a keypoint that was moved to its point's patch, in those of a corner: half a pixel in
-/// place of one. Generated images have 0.1 to 0.2, recordings 0.3 to 0.5.
-inline constexpr float weight_of_moved = 4;
 
 /// Inputs and outputs of optimize_frame_poses(), in the executor's memory.
 struct frame_poses {
@@ -84,7 +80,8 @@ struct optimize_frame {
                                out.inliers + b,
                                information,
                                poses.exact_start == nullptr ? nullptr : poses.exact_start + b,
-                               poses.exact_result == nullptr ? nullptr : poses.exact_result + b};
+                               poses.exact_result == nullptr ? nullptr : poses.exact_result + b,
+                               in.moves != nullptr};
     pose_solver<Group, Rig> const solver{g, s.pose, rig, problem, params, limits};
     auto const number_of = [&](int i) {
       return i < prepared_observations::size ? s.number[i] : out.number[at + i];
@@ -100,16 +97,16 @@ struct optimize_frame {
       float const right =
           Rig::rectified && frame.right_x != nullptr ? frame.right_x[first + number] : -1.0f;
       int const octave = kp.octave(k);
-      bool const moved = in.moves != nullptr && in.moves[first + number] >= 0;
+      bool const aligned = in.moves != nullptr && in.moves[first + number] >= 0;
       float const weight = in.geometry.inv_sigma2[octave];
       observation const o{points.position(holder[number]),
                           in.geometry.column(kp.x(k), octave),
                           in.geometry.row(kp.y(k), octave),
                           right < 0 ? right : in.geometry.column(right, octave),
-                          moved ? mul(weight_of_moved, weight) : weight,
+                          aligned ? mul(weight_of_aligned, weight) : weight,
                           c};
       out.items[at + i] = o;
-      solver.prepare(i, o);
+      solver.prepare(i, o, aligned);
     }
     if (g.rank() == 0) { out.count[b] = n; }
     solver.solve();

@@ -63,8 +63,9 @@ struct pose_solver {
 
   /// Prepares observation i. Called by thread i modulo the group's size.
   /// @param o observation i of the problem
-  FT_HOST_DEVICE void prepare(int i, observation const& o) const {
-    s.observations.template keep<Rig>(i, o, problem);
+  /// @param aligned whether its keypoint was moved to its point's patch
+  FT_HOST_DEVICE void prepare(int i, observation const& o, bool aligned = false) const {
+    s.observations.template keep<Rig>(i, o, problem, aligned);
   }
 
   FT_HOST_DEVICE void solve() const {
@@ -82,7 +83,8 @@ struct pose_solver {
     int included = n;
     bool precise = true;
     bool changed = true;
-    bool weighed = true;  // whether the last robust round weighed an error less
+    bool weighed =
+        true;  // whether the last round's weights may be others than the last robust one's
     FT_NO_UNROLL
     for (int round = 0; enough && round < rounds; ++round) {
       bool const robust = round + 1 < params.rounds;
@@ -105,7 +107,7 @@ struct pose_solver {
         int const both = g.reduce(few + (changes ? one_change : 0), sum_op{});
         changed = both >= one_change;
         included = both % one_change;
-        weighed = changed || g.any(weighs);
+        weighed = changed || problem.aligned || g.any(weighs);
       }
     }
     write_result(enough, precise);
@@ -170,6 +172,10 @@ private:
     s.moved = !same(d.T, s.start.template cast<Number>());
   }
 
+  FT_HOST_DEVICE bool is_aligned(int i) const {
+    return (s.observations.flags(i, problem) & prepared_observations::aligned) != 0;
+  }
+
   /// Whether the third row is that of a disparity. Of rigs without a right column it is not used.
   FT_HOST_DEVICE bool by_disparity() const {
     if constexpr (Rig::rectified && !is_monocular_v<Rig>) { return limits.disparity_root > 0; }
@@ -194,10 +200,12 @@ private:
                           s.observations.flags(i, problem) | prepared_observations::unusable);
       return;
     }
-    Number const limit = static_cast<plain>((r.rows == 3 ? limits.stereo : limits.mono).robust);
+    bool const tight = !robust && is_aligned(i);
+    Number const limit = static_cast<plain>(
+        tight ? aligned_robust : (r.rows == 3 ? limits.stereo : limits.mono).robust);
     Number weight = static_cast<plain>(o.inv_sigma2);
     Number cost = chi2;
-    if (robust && chi2 > limit) {  // Huber
+    if ((robust || tight) && chi2 > limit) {  // Huber
       weighs = true;
       Number const product = scalar::sqrt(limit * chi2);
       cost = product + product - limit;
@@ -223,9 +231,10 @@ private:
     o.inv_sigma2 = ::fabsf(o.inv_sigma2);
     reprojection<Rig> r(rig, s.T, o);
     if (by_disparity()) { r.take_disparity(real(static_cast<double>(limits.disparity_root))); }
+    strict_float limit = (r.rows == 3 ? limits.stereo : limits.mono).inlier;
+    if (is_aligned(i)) { limit = limit * aligned_inlier; }
     // Written so that a NaN is too far.
-    bool const far = !(static_cast<float>(r.chi2(o).value) <=
-                       (r.rows == 3 ? limits.stereo : limits.mono).inlier);
+    bool const far = !(static_cast<float>(r.chi2(o).value) <= limit.value);
     unsigned const before = s.observations.flags(i, problem);
     unsigned const after =
         (before & ~prepared_observations::outlier) | (far ? prepared_observations::outlier : 0);

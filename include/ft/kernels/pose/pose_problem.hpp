@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "ft/containers/map_points.hpp"
+#include "ft/containers/point_patches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/types/poses.hpp"
@@ -57,6 +58,9 @@ struct pose_problem {
   /// The start in double, a rotation; null: `start`, made orthonormal.
   rigid<double> const* exact_start = nullptr;
   rigid<double>* exact_result = nullptr;  ///< the result before it is rounded; may be null
+  /// Whether observations may be of keypoints that were moved to their points' patches. The last
+  /// round has a robust loss for these.
+  bool aligned = false;
 };
 
 // The observations of a pose in the form that its sums need.
@@ -73,8 +77,10 @@ struct prepared_observations {
   static constexpr unsigned outlier = 1;
   /// Flag: its chi-square at the start is NaN or beyond all reason. Excluded from all sums.
   static constexpr unsigned unusable = 2;
+  /// Flag: the keypoint was moved to its point's patch.
+  static constexpr unsigned aligned = 4;
   /// The bits above the flags are the number of the camera, of rigs whose pixels have no room.
-  static constexpr unsigned flag_bits = 2;
+  static constexpr unsigned flag_bits = 3;
 
   struct alignas(16) {
     vec3<float> point;  ///< world frame
@@ -97,8 +103,9 @@ struct prepared_observations {
   }
 
   template <typename Rig>
-  FT_HOST_DEVICE void keep(int i, observation const& o, pose_problem const& problem) {
-    unsigned flags = 0;
+  FT_HOST_DEVICE void keep(int i, observation const& o, pose_problem const& problem,
+                           bool is_aligned) {
+    unsigned flags = is_aligned ? aligned : 0;
     if (i < size) {
       place[i] = {o.point, o.inv_sigma2};
       if constexpr (Rig::searches > 1) { flags |= static_cast<unsigned>(o.camera) << flag_bits; }
@@ -130,7 +137,7 @@ struct prepared_observations {
       return {at.point, seen.u, seen.v, seen.third, at.weight, camera};
     }
     observation o = problem.observations[i];
-    if (problem.outlier[i] != 0) { o.inv_sigma2 = -o.inv_sigma2; }
+    if ((problem.outlier[i] & (outlier | unusable)) != 0) { o.inv_sigma2 = -o.inv_sigma2; }
     return o;
   }
 };

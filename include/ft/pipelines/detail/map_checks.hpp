@@ -88,6 +88,7 @@ inline void clear_unused(odometry_map_view const& map) {
       std::fill_n(k.octave + first, k.capacity - n, 0);
       std::fill_n(k.holder + first, k.capacity - n, -1);
       std::fill_n(k.holder_number + first, k.capacity - n, 0);
+      std::fill_n(k.aligned + first, k.capacity - n, static_cast<unsigned char>(0));
     }
   }
 }
@@ -162,6 +163,7 @@ inline void check_saved_keypoint(odometry_map_view const& map, std::ptrdiff_t at
   require_saved("an octave", k.octave[at], 0, levels - 1);
   require_saved("a keypoint's slot", k.holder[at], -1, map.records.slots - 1);
   require_saved("the number of a keypoint's point", k.holder_number[at], 0, *map.records.made);
+  require_saved("whether a keypoint is aligned", static_cast<int>(k.aligned[at]), 0, 1);
 }
 
 inline void check_saved_keyframes(odometry_map_view const& map, int levels) {

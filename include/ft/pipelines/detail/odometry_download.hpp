@@ -40,10 +40,10 @@ inline double variance_of(frame_facts const& facts) {
 }
 
 /// By how much errors of the map's points add to the variance of a keypoint's: each point is what
-/// two or three keyframes saw, 1 / 2.5. Of a camera at rest they are the same in each frame, and no
-/// motion has them.
+/// some five keyframes saw. Of a camera at rest they are the same in each frame, and no motion has
+/// them.
 inline double variance_with_points(int inliers, int resting) {
-  return inliers > 0 ? 1 + 0.4 * (inliers - std::min(resting, inliers)) / inliers : 1.0;
+  return inliers > 0 ? 1 + 0.2 * (inliers - std::min(resting, inliers)) / inliers : 1.0;
 }
 
 /// Inverts an information matrix. The covariance of one that is not positive definite is unknown.

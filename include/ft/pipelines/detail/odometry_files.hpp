@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /// @file The map of a camera as a file.
 ///
-/// Version 2, little-endian, without padding:
+/// Version 3, little-endian, without padding:
 /// - 16 bytes "ft odometry map" and 0; uint32 version; uint32 0x01020304;
 /// - uint64 bytes of the text, uint64 bytes of the arrays;
 /// - the text of map_origin: rig, image size, settings and capacities;
@@ -10,7 +10,7 @@
 /// - where the text ends with the line "loops: kept", what loop_files.hpp says.
 ///
 /// A file fits an odometry with the same text, but for that line: an odometry with loops also takes
-/// a map without them. Version 1 had capacities alone.
+/// a map without them. Version 1 had capacities alone, version 2 no keypoints that are aligned.
 #pragma once
 
 #include <algorithm>
@@ -67,7 +67,7 @@ inline std::uint64_t fnv1a(void const* data, std::size_t bytes, std::uint64_t ha
 
 struct map_file_head {
   char magic[16] = "ft odometry map";
-  std::uint32_t version = 2;
+  std::uint32_t version = 3;
   std::uint32_t order = 0x01020304;
   std::uint64_t text_bytes = 0, array_bytes = 0;
 };

@@ -171,14 +171,14 @@ public:
     how.first_round = inertial_rounds - 1;  // the pose without the IMU has found outliers
     how.outliers_given = true;
     how.marginalizes = false;
-    optimize_inertial_poses(exec, s.rig, mount_, problems(seen), how);
+    optimize_inertial_poses(exec, s.rig, mount_, problems(s), how);
     take_inertial_poses(
         exec, {seen, s.own.state, s.memory.frame, s.own.information, s.memory.poses, s.own.changes},
         view_);
   }
   /// Marginalises: needed by the next frame alone.
   void beside_decision(Exec const& exec, stages_type const& s) const override {
-    marginalize_inertial_poses(exec, s.rig, mount_, problems(s.memory.observations));
+    marginalize_inertial_poses(exec, s.rig, mount_, problems(s));
   }
   void before_outputs(Exec const& exec, stages_type const& s) const override {
     keep_inertial_states(exec, s.own.state, view_, outputs_);
@@ -311,11 +311,15 @@ private:
     bool made = false;
   };
 
-  inertial_poses problems(observations_view const& seen) const {
+  inertial_poses problems(stages_type const& s) const {
+    observations_view const& seen = s.memory.observations;
     inertial_poses poses = view_.poses;
     poses.observations = seen.items;
     poses.count = seen.count;
     poses.outlier = seen.outlier;
+    poses.number = seen.number;
+    poses.moves = s.moves;
+    poses.numbers = s.memory.frame.numbers();
     return poses;
   }
 

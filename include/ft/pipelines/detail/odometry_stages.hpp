@@ -216,6 +216,7 @@ public:
     in.point = this->matcher.fisheye_matches().point;
     if constexpr (is_mixed_v<Rig>) { in.frame.partner = this->matcher.partners(); }
     in.geometry = this->geometry();
+    in.moves = this->moves;
     return in;
   }
   /// @param order [batch] instead of that of the state

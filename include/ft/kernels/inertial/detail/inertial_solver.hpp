@@ -6,6 +6,7 @@
 #include "ft/cameras/stereo_rig.hpp"
 #include "ft/containers/inertial.hpp"
 #include "ft/containers/map_points.hpp"
+#include "ft/containers/point_patches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/ordered_sum.hpp"
@@ -48,6 +49,11 @@ struct inertial_observations {
   float const* distance;  ///< or null
   unsigned char* outlier;
   int count;
+  int const* number;
+  float const* moves;  ///< or null
+
+  /// Whether the keypoint of observation i was moved to its point's patch.
+  FT_HOST_DEVICE bool is_aligned(int i) const { return moves != nullptr && moves[number[i]] >= 0; }
 };
 
 /// Linearises a problem at the states in scratch, and moves them. By one group, of one thread or
@@ -162,6 +168,7 @@ private:
     // Roots of 95 % of 2 and of 3 degrees of freedom.
     real64 const limit_mono = static_cast<double>(2.44765186f);
     real64 const limit_stereo = static_cast<double>(2.79553223f);
+    real64 const limit_aligned = scalar::sqrt(real64(aligned_robust));
     auto const add = [&](int i, sum_terms<visual_terms, double>& acc) {
       if (seen.outlier[i] != 0) { return; }
       observation const o = seen.items[i];
@@ -169,8 +176,9 @@ private:
       if (chi2 != nullptr) { chi2[i] = static_cast<float>(r.chi2.value); }
       if (!r.usable()) { return; }
       real64 weight = static_cast<double>(o.inv_sigma2);
-      real64 const limit = r.rows == 3 ? limit_stereo : limit_mono;
-      if (robust && r.chi2 > limit * limit) { weight *= limit / scalar::sqrt(r.chi2); }
+      bool const tight = !robust && seen.is_aligned(i);
+      real64 const limit = tight ? limit_aligned : r.rows == 3 ? limit_stereo : limit_mono;
+      if ((robust || tight) && r.chi2 > limit * limit) { weight *= limit / scalar::sqrt(r.chi2); }
       strict_vec3d const W{weight, weight, r.rows == 3 ? weight : real64(0.0)};
       strict_vec3d const e{r.error[0], r.error[1], r.error[2]};
       if constexpr (displaced) {

@@ -120,7 +120,7 @@ inline void randomize_frame(std::mt19937& random, frames_view const& v, int b, p
   for (int n = 0; n < v.numbers(); ++n) {
     auto const at = static_cast<std::ptrdiff_t>(b) * v.numbers() + n;
     v.partner[at] = -1;
-    v.moves[at] = static_cast<float>(random() % 3) - 1;
+    v.moves[at] = static_cast<float>(n % 3) - 1;
     v.holder[at] = static_cast<int>(random() % static_cast<unsigned>(slots + 4)) - 2;
     for (int tries = 0; tries < 4 && v.holder[at] >= 0 && v.holder[at] < slots &&
                         map.points[index(v.holder[at])].number == 0;

@@ -312,6 +312,17 @@ def speed_asked():
     return lines
 
 
+def odometry_kernels(least_us=7):
+    """Kernels that take so long at least: how full the busiest scheduler is, and what warps wait for."""
+    record, rows = tables_of("odometry_kernels_h200.json", "rows")[-1]
+    lines = [measured_on(record), "", "| kernel | us alone | blocks | issue slots, % | L2, % | a warp waits for |", "|---|---:|---:|---:|---:|---|"]
+    for r in sorted(rows, key=lambda r: -r["us"]):
+        if r["us"] >= least_us:
+            waits = ", ".join(f"{what} ({100 * share:.0f} %)" for what, share in zip(r["waits_for"], r["waits_share"]))
+            lines.append(f"| `{r['kernel']}` | {r['us']:.1f} | {r['blocks']} | {100 * r['issue_share_of_busiest']:.0f} | {r['l2_pct']:.0f} | {waits} |")
+    return lines
+
+
 def descriptors():
     """Matches of all with all: without and with tensor cores on one machine, and of the newest commit on another."""
     first, old = tables_of("match_descriptors_h100.json", "match_descriptors")[-1]
@@ -554,7 +565,7 @@ TABLES = {
     },
     "docs/performance.md": {
         "recorded frames": recorded, "recorded stages": recorded_stages, "odometries": odometries, "places": places,
-        "speed asked": speed_asked, "descriptors": descriptors, "mixed rigs": mixed_rigs, "energy": energy,
+        "speed asked": speed_asked, "descriptors": descriptors, "mixed rigs": mixed_rigs, "energy": energy, "odometry kernels": odometry_kernels,
         "loops wanted": lambda: wanted("wanted_loops.json", "before, or elsewhere", True), "loop trials": loop_trials, "beside keyframes": beside_keyframes, "beside Ceres": beside_ceres,
     },
     "bench/results/README.md": {

@@ -216,7 +216,7 @@ void read_orb(yaml_file const& file, orb_settings& orb) {
     if (file.has(key)) { to = file.number(key, range); }
   };
   integer("ORBextractor.nFeatures", {1, 1e6}, orb.features);
-  integer("ORBextractor.nLevels", {1, 32}, orb.levels);
+  integer("ORBextractor.nLevels", {1, 16}, orb.levels);
   number("ORBextractor.scaleFactor", {1, 4, true}, orb.scale_factor);
   integer("ORBextractor.iniThFAST", {1, 255}, orb.ini_threshold);
   integer("ORBextractor.minThFAST", {1, 255}, orb.min_threshold);

@@ -31,6 +31,24 @@ std::vector<listed_image> present(std::vector<listed_image> list) {
   return list;
 }
 
+/// Of the images of a folder, or of its folders, the first that is of a kind that is not read.
+std::string unread_images(fs::path const& folder) {
+  constexpr char const* kinds[] = {".webp", ".heic", ".heif", ".avif", ".gif", ".jp2", ".exr"};
+  std::error_code failure;
+  fs::recursive_directory_iterator it(folder, failure), end;
+  for (int seen = 0; !failure && it != end && seen < 1000; it.increment(failure), ++seen) {
+    if (it.depth() > 1) { it.disable_recursion_pending(); }
+    std::string const extension = it->path().extension().string();
+    for (char const* kind : kinds) {
+      if (extension == kind) {
+        return ": images of the kind " + extension + " are not read, those of " +
+               "png, jpg, pgm, ppm, bmp and tiff are";
+      }
+    }
+  }
+  return "";
+}
+
 }  // namespace
 
 std::string find_image(fs::path const& folder, std::string const& name) {
@@ -279,7 +297,10 @@ layout_of_files find_layout(std::string const& directory, open_options const& op
   if (failure) { throw error(directory + ": cannot be read: " + failure.message()); }
   bool const given = options.fps > 0 || !options.times.empty();
   l.name = name_of(l, given);
-  if (l.name.empty()) { throw error(directory + ": no sequence found; accepted are " + accepted); }
+  if (l.name.empty()) {
+    throw error(directory + ": no sequence found" + unread_images(l.root) + "; accepted are " +
+                accepted);
+  }
   find_frames(l, options);
   bool const rate = l.rate > 0 && options.fps > 0;
   if (given && l.name != "folders" && !rate) {

@@ -31,6 +31,22 @@ std::map<std::string, std::string> masks_by_name(fs::path const& folder) {
   return masks;
 }
 
+/// Of a mask of all frames. @throws error if no pixel is left
+void tell_of_little(std::string const& path, image const& mask,
+                    std::vector<std::string>& warnings) {
+  std::size_t const all = mask.pixels.size();
+  auto const covered =
+      static_cast<std::size_t>(std::count(mask.pixels.begin(), mask.pixels.end(), 0));
+  if (covered == all) {
+    throw error(path + ": the mask is 0 everywhere, where no keypoints are wanted; accepted are " +
+                "masks that are 0 on what is fixed to the camera and not 0 elsewhere");
+  }
+  if ((all - covered) * 10 < all) {
+    warnings.push_back(path + ": the mask is 0, where no keypoints are wanted, on " +
+                       std::to_string(covered * 100 / all) + " % of the image");
+  }
+}
+
 }  // namespace
 
 camera_masks::camera_masks(std::string const& path, std::vector<std::string> const& images,
@@ -41,6 +57,7 @@ camera_masks::camera_masks(std::string const& path, std::vector<std::string> con
   std::error_code failure;
   if (!fs::is_directory(path, failure)) {
     fixed_ = std::make_shared<image const>(read(path));
+    tell_of_little(path, *fixed_, warnings);
     return;
   }
   std::map<std::string, std::string> const masks = masks_by_name(path);

@@ -123,6 +123,14 @@ TEST(reader_masks, that_do_not_fit_are_refused) {
   refused({folder.path("empty")}, "such as 100.5.png");
   seq::write_png(folder.path("small.png"), {32, 48, std::vector<std::uint8_t>(32 * 48, 255)});
   refused({folder.path("small.png")}, "32 x 48");
+  put_mask(folder, "nothing.png", 0);
+  refused({folder.path("nothing.png")}, "nothing.png: the mask is 0 everywhere");
+  put_mask(folder, "little.png", 3);
+  options.masks = {folder.path("little.png")};
+  auto const warnings = seq::sequence::open(folder.path(), options).warnings();
+  ASSERT_EQ(warnings.size(), 1U);
+  EXPECT_TRUE(contains(warnings[0], "little.png: the mask is 0")) << warnings[0];
+  EXPECT_TRUE(contains(warnings[0], "95 % of the image")) << warnings[0];
   options.rig = seq::camera_kind::mono;
   refused({left, left}, "2 masks, for 1 camera");
 }

@@ -567,7 +567,9 @@ TEST(reader, rejects_folders_that_hold_no_sequence) {
       contains(open_error(folder.write("file", "x")), "file: a file; accepted are folders"));
   EXPECT_TRUE(contains(open_error(folder.write("a.mcap", "x")), "read by python -m ft track"));
   EXPECT_TRUE(contains(open_error(""), "no such folder"));
-  EXPECT_TRUE(contains(open_error(folder.path()), "no sequence found"));
+  EXPECT_TRUE(contains(open_error(folder.path()), "no sequence found; accepted"));
+  folder.write("left/1.webp", "x");
+  EXPECT_TRUE(contains(open_error(folder.path()), "no sequence found: images of the kind .webp"));
   fs::create_directories(folder.path("mav0"));
   EXPECT_TRUE(contains(open_error(folder.path()), "cam0: no such folder"));
 }

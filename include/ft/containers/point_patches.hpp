@@ -26,13 +26,14 @@ struct point_patch {
   std::uint8_t grey[side * side];  ///< by rows
 };
 
-/// Weight of a keypoint that was moved to its point's patch, in those of a corner: a quarter of a
-/// pixel of its level in place of one. Most are within 0.1, a few are half a pixel off.
-inline constexpr float weight_of_aligned = 16;
-/// Of its chi-square in a last round: where Huber's loss becomes linear, at 0.15 pixels.
-inline constexpr double aligned_robust = 0.0225 * static_cast<double>(weight_of_aligned);
-/// By which it may be larger before it is an outlier: at 1.2 pixels, that of a corner at 2.4.
-inline constexpr float aligned_inlier = weight_of_aligned / 4;
+/// Weight of a keypoint that was moved to its point's patch, in those of a corner: half a pixel of
+/// its level in place of one.
+inline constexpr float weight_of_aligned = 4;
+/// Times this in the last round of a pose, where outliers are known, and in adjustments: a quarter
+/// of a pixel. Most are within 0.1, a few are half a pixel off.
+inline constexpr float aligned_at_last = 4;
+/// Of its chi-square there: where Huber's loss becomes linear, at 0.15 pixels.
+inline constexpr double aligned_robust = 0.0225 * weight_of_aligned * aligned_at_last;
 
 /// Patches by slot, in executor memory. They are not part of a map that is saved: points get new
 /// ones.

@@ -6,7 +6,6 @@
 
 #include "ft/containers/inertial.hpp"
 #include "ft/containers/map_points.hpp"
-#include "ft/containers/point_patches.hpp"
 #include "ft/core/arithmetic.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/error.hpp"
@@ -269,7 +268,6 @@ private:
       bool const is_mono = r.rows == 2;
       strict_float limit = is_mono ? mono_limit : stereo[round];
       if (is_mono && is_close(seen, i, r.in_pose)) { limit *= strict_float(1.5f); }
-      if (seen.is_aligned(i)) { limit *= strict_float(aligned_inlier); }
       // Written so that a NaN is an outlier.
       bool const inlier = chi2[i] <= limit.value && (!is_mono || r.z > real64(0.0));
       seen.outlier[i] = inlier ? 0 : 1;

@@ -158,7 +158,8 @@ struct gather_view {
       int const p = sources.point_of_slot[record];
       if (p < 0) { continue; }
       float const corner = in.geometry.inv_sigma2[keyframes.octave[at]];
-      float const weight = keyframes.aligned[at] != 0 ? mul(weight_of_aligned, corner) : corner;
+      float const weight =
+          keyframes.aligned[at] != 0 ? mul(weight_of_aligned * aligned_at_last, corner) : corner;
       std::ptrdiff_t const to = problem.sighting(b, p, v, c);
       problem.seen[to] = {keyframes.x[at], keyframes.y[at], keyframes.right_x[at], weight};
       sources.keypoint[to] = keypoint;

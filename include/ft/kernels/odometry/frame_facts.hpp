@@ -158,7 +158,8 @@ FT_HOST_DEVICE frame_facts weigh_observations(Group g, facts_scratch& s, int b, 
       for (int row = 0; row < r.rows; ++row) {
         chi2 = chi2 + weighted.error[row] * weighted.error[row];
       }
-      n.misfit += misfit(chi2 * real(o.inv_sigma2));
+      n.misfit +=
+          misfit(chi2 * real(o.inv_sigma2) * (move >= 0 ? real(aligned_at_last) : real(1.0f)));
       n.rows += r.rows;
       n.resting += static_cast<int>(length_of(dx - x, dy - y) <= 2);
       real const root = scalar::sqrt(weight);

@@ -194,7 +194,7 @@ private:
     reprojection<Rig, Number, true> r(rig, T, o);
     Number const root = static_cast<plain>(limits.disparity_root);
     if (by_disparity()) { r.take_disparity(root); }
-    Number const chi2 = r.chi2(o);
+    Number chi2 = r.chi2(o);
     if (first && !(chi2 < Number(static_cast<plain>(largest_chi2)))) {
       s.observations.mark(i, problem,
                           s.observations.flags(i, problem) | prepared_observations::unusable);
@@ -204,6 +204,10 @@ private:
     Number const limit = static_cast<plain>(
         tight ? aligned_robust : (r.rows == 3 ? limits.stereo : limits.mono).robust);
     Number weight = static_cast<plain>(o.inv_sigma2);
+    if (tight) {
+      chi2 = chi2 * Number(static_cast<plain>(aligned_at_last));
+      weight = weight * Number(static_cast<plain>(aligned_at_last));
+    }
     Number cost = chi2;
     if ((robust || tight) && chi2 > limit) {  // Huber
       weighs = true;
@@ -231,10 +235,9 @@ private:
     o.inv_sigma2 = ::fabsf(o.inv_sigma2);
     reprojection<Rig> r(rig, s.T, o);
     if (by_disparity()) { r.take_disparity(real(static_cast<double>(limits.disparity_root))); }
-    strict_float limit = (r.rows == 3 ? limits.stereo : limits.mono).inlier;
-    if (is_aligned(i)) { limit = limit * aligned_inlier; }
     // Written so that a NaN is too far.
-    bool const far = !(static_cast<float>(r.chi2(o).value) <= limit.value);
+    bool const far = !(static_cast<float>(r.chi2(o).value) <=
+                       (r.rows == 3 ? limits.stereo : limits.mono).inlier);
     unsigned const before = s.observations.flags(i, problem);
     unsigned const after =
         (before & ~prepared_observations::outlier) | (far ? prepared_observations::outlier : 0);

@@ -175,10 +175,12 @@ private:
       visual_residual<Rig> const r(rig, s.T_cw, o);
       if (chi2 != nullptr) { chi2[i] = static_cast<float>(r.chi2.value); }
       if (!r.usable()) { return; }
-      real64 weight = static_cast<double>(o.inv_sigma2);
       bool const tight = !robust && seen.is_aligned(i);
+      real64 const times = tight ? static_cast<double>(aligned_at_last) : 1.0;
+      real64 const square = r.chi2 * times;
+      real64 weight = real64(static_cast<double>(o.inv_sigma2)) * times;
       real64 const limit = tight ? limit_aligned : r.rows == 3 ? limit_stereo : limit_mono;
-      if ((robust || tight) && r.chi2 > limit * limit) { weight *= limit / scalar::sqrt(r.chi2); }
+      if ((robust || tight) && square > limit * limit) { weight *= limit / scalar::sqrt(square); }
       strict_vec3d const W{weight, weight, r.rows == 3 ? weight : real64(0.0)};
       strict_vec3d const e{r.error[0], r.error[1], r.error[2]};
       if constexpr (displaced) {

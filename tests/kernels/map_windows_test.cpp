@@ -134,8 +134,8 @@ void expect_gathered(room<Exec> const& r, plain_window const& w, int b) {
         EXPECT_EQ(p.seen[at].x, q.x);
         EXPECT_EQ(p.seen[at].y, q.y);
         EXPECT_EQ(p.seen[at].right_x, q.right_x);
-        EXPECT_NEAR(p.seen[at].inv_sigma2, (q.aligned ? 16 : 1) * std::pow(1.2, -2 * q.octave),
-                    1e-5);
+        EXPECT_NEAR(p.seen[at].inv_sigma2 / (q.aligned ? 16.0f : 1.0f),
+                    std::pow(1.2, -2 * q.octave), 1e-6);
       }
     }
   }

@@ -83,8 +83,7 @@ struct pose_solver {
     int included = n;
     bool precise = true;
     bool changed = true;
-    bool weighed =
-        true;  // whether the last round's weights may be others than the last robust one's
+    bool weighed = true;  // whether weights of the last round may differ
     FT_NO_UNROLL
     for (int round = 0; enough && round < rounds; ++round) {
       bool const robust = round + 1 < params.rounds;

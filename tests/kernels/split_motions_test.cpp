@@ -31,6 +31,7 @@ struct arrays {
   ft::pose* T_cw = nullptr;
   float* information = nullptr;
   float* depth = nullptr;
+  float* moves = nullptr;
 };
 
 /// A frame before a room, and a thing in the middle of its image that has moved. Depths in metres.
@@ -49,6 +50,7 @@ struct scene {
   int seen_by = -1;          ///< whose image; -1 = the camera's
   double left_out = 0;       ///< share of the rest's matches that the pose before left out
   float wrong_by = 0.03f;    ///< metres, the pose before
+  bool aligned = false;      ///< every second keypoint was moved to its point's patch
   unsigned seed = 1;
 };
 
@@ -71,6 +73,7 @@ struct room {
           v.T_cw = to.take<ft::pose>(1);
           v.information = to.take<float>(ft::information_terms);
           v.depth = to.take<float>(numbers);
+          v.moves = to.take<float>(numbers);
         }) {
     put(s);
     data.push(exec);
@@ -88,6 +91,7 @@ struct room {
     in.depth = there.depth;
     in.depth_cameras = Rig::rectified ? Rig::cameras : 1;
     in.geometry = ft::pyramid_geometry::make(width, height, 1, 1.2f);
+    in.moves = s.aligned ? there.moves : nullptr;
     ft::split_motions(exec, in, there.state, there.work);
     data.pull(exec);
   }
@@ -117,6 +121,7 @@ private:
     test::generator random(s.seed);
     std::fill_n(v.holder, Rig::cameras * capacity, -1);
     std::fill_n(v.depth, Rig::cameras * capacity, 2.0f);
+    std::fill_n(v.moves, Rig::cameras * capacity, -1.0f);
     std::fill_n(v.keypoints.count, Rig::images, 0);
     std::fill_n(v.information, ft::information_terms, 0.0f);
     auto const keypoints = v.keypoints.slice(camera * (Rig::images / Rig::cameras));
@@ -146,6 +151,10 @@ private:
         v.observations.items[n] = {point, keypoints.x(n), keypoints.y(n), -1.0f, 1.0f, camera};
         v.observations.number[n] = camera * capacity + n;
         v.observations.outlier[n] = 0;
+        if (s.aligned && n % 2 == 0) {
+          v.moves[camera * capacity + n] = 0.5f;
+          v.observations.items[n].inv_sigma2 = ft::weight_of_aligned;
+        }
         v.holder[camera * capacity + n] = 7 * n;
         if (!thing && n < s.left_out * s.rest) {
           v.observations.outlier[n] = 1;
@@ -350,16 +359,35 @@ TYPED_TEST(SplitMotions, AMotionGoesOnWhereMostHoldsNoPoint) {
   EXPECT_EQ(told_of<pair>(exec, s), 0);
 }
 
+// Half of the rest counts 16 times, half once.
+TYPED_TEST(SplitMotions, KeypointsThatWereMovedCountInTheInformation) {
+  TypeParam backend;
+  using room_type = room<typename TypeParam::exec_type, ft::rectified_rig>;
+  scene s;
+  s.noise = 0.05f;
+  room_type const corners(backend.exec, s);
+  s.aligned = true;
+  room_type const moved(backend.exec, s);
+  float const weight = (ft::aligned_at_last * ft::weight_of_aligned + 1) / 2;
+  for (int i : {0, 6, 11, 15, 18, 20}) {  // the diagonal
+    float const ratio = moved.data.host.information[i] / corners.data.host.information[i];
+    EXPECT_NEAR(ratio, weight, 0.15f * weight) << i;
+  }
+}
+
 TYPED_TEST(SplitMotions, BothExecutorsHaveTheSameBits) {
   TypeParam backend;
   ft::host_exec const host;
   for (unsigned seed = 11; seed < 15; ++seed) {
     scene s;
     s.seed = seed;
+    s.aligned = seed % 2 == 0;
     room<typename TypeParam::exec_type, test::fisheye_rig> const a(backend.exec, s);
     room<ft::host_exec, test::fisheye_rig> const b(host, s);
     EXPECT_EQ(a.track().facts.apart, b.track().facts.apart);
     EXPECT_EQ(std::memcmp(a.data.host.T_cw, b.data.host.T_cw, sizeof(ft::pose)), 0);
+    std::size_t const terms = sizeof(float) * ft::information_terms;
+    EXPECT_EQ(std::memcmp(a.data.host.information, b.data.host.information, terms), 0);
     EXPECT_EQ(std::memcmp(a.data.host.holder, b.data.host.holder, sizeof(int) * capacity), 0);
     EXPECT_EQ(std::memcmp(a.data.host.depth, b.data.host.depth, sizeof(float) * capacity), 0);
   }

@@ -32,7 +32,8 @@ struct motions_of_frames {
   float* depth = nullptr;  ///< [batch][depth_cameras * capacity] metres; where the other motion is,
                            ///< keypoints lose theirs
   int depth_cameras = 1;
-  pyramid_geometry geometry{};  ///< of the images
+  pyramid_geometry geometry{};   ///< of the images
+  float const* moves = nullptr;  ///< as in frames_in_map, which made the observations
 };
 
 namespace detail {
@@ -131,6 +132,15 @@ struct frame_observations {
     auto const p = T_cw * o.point.template cast<strict_double>();
     return scalar::sqrt(dot(p, p));
   }
+  /// Which observation an entry of the list is. The search without a window is over.
+  FT_HOST_DEVICE int& place(int listed) const {
+    return work.keypoint_of[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() + listed];
+  }
+  /// Whether the keypoint of a listed observation was moved to its point's patch.
+  FT_HOST_DEVICE bool is_aligned(int listed) const {
+    return in.moves != nullptr && in.moves[static_cast<std::ptrdiff_t>(b) * in.frame.numbers() +
+                                           in.observations.number[first() + place(listed)]] >= 0;
+  }
   /// Lists those of the camera that are wanted, in their order. @return their number
   template <typename Group, typename Wanted>
   FT_HOST_DEVICE int keep(Group g, Wanted const& wanted) const {
@@ -140,8 +150,11 @@ struct frame_observations {
       int const i = base + g.rank();
       bool const is = i < count() && at(i).camera == camera && wanted(at(i));
       int here = 0;
-      int const place = n + g.exclusive_count(is, here);
-      if (is) { list()[place] = at(i); }
+      int const next = n + g.exclusive_count(is, here);
+      if (is) {
+        list()[next] = at(i);
+        place(next) = i;
+      }
       n += here;
     }
     g.sync();
@@ -177,7 +190,8 @@ struct motion_search {
   }
 
   /// Optimises s.T[k] by the n listed matches; of.refined() has it, too.
-  /// @param information as in pose_problem
+  /// @param information as in pose_problem, of the frame's pose, whose last round has a robust loss
+  /// for keypoints that were moved; null: of a pose that is compared
   template <typename Group>
   FT_HOST_DEVICE void improve(Group g, scratch& s, of_frame const& of, int n, int k,
                               float* information = nullptr) const {
@@ -186,11 +200,14 @@ struct motion_search {
     g.sync();
     unsigned char* const outlier =
         of.work.outlier + static_cast<std::ptrdiff_t>(of.b) * of.in.frame.numbers();
-    pose_problem const problem{of.list(), n,           &to.start,  &to.T_cw,
-                               outlier,   &to.inliers, information};
+    bool const last = information != nullptr;
+    pose_problem const problem{of.list(),   n,           &to.start, &to.T_cw, outlier,
+                               &to.inliers, information, nullptr,   nullptr,  last};
     pose_solver<Group, Rig> const solver{g, s.pose, of.in.rig, problem, params, limits};
     FT_NO_UNROLL
-    for (int i = g.rank(); i < n; i += g.size()) { solver.prepare(i, problem.observations[i]); }
+    for (int i = g.rank(); i < n; i += g.size()) {
+      solver.prepare(i, problem.observations[i], last && of.is_aligned(i));
+    }
     solver.solve();
     g.sync();
     if (g.rank() == 0) {

@@ -136,6 +136,7 @@ public:
     in.depth = const_cast<float*>(this->matcher.depth());  // its own memory, as in plan_search()
     in.depth_cameras = memory.result.depth_cameras;
     in.geometry = this->geometry();
+    in.moves = this->moves;
     ft::split_motions(exec, in, own.state, own.windowless, this->pose_settings);
   }
 

@@ -62,6 +62,7 @@ struct match {
   float right_x, depth;
   int score;
   int rival = 0;
+  float rows = 0;
 };
 
 bool is_candidate(ft::pyramid_geometry const& g, ft::keypoints_view const& l, int i,
@@ -102,6 +103,7 @@ std::vector<match> expected(ft::keypoints_view const& all, int pair) {
     if (!nearest || !(disparity > 0)) { continue; }
     out[i] = {g.level_column(column, octave), g.level_depth(params().bf / disparity, octave),
               distance[i]};
+    out[i].rows = g.row(r.y(j), r.octave(j)) - g.row(l.y(static_cast<int>(i)), octave);
     int const most = std::min(distance[i] + 7, params().hamming_limit - 1);
     float const apart = 11 * g.scale[octave];
     for (int k = 0; k < *r.count; ++k) {
@@ -150,7 +152,10 @@ TYPED_TEST(stereo_by_descriptors, finds_what_a_loop_over_all_pairs_finds) {
         ASSERT_EQ(m.score(i), w.score) << pair << " " << i;
         ASSERT_EQ(m.right_x(i), w.right_x) << pair << " " << i;
         ASSERT_EQ(m.depth(i), w.depth) << pair << " " << i;
-        if (w.score >= 0) { ASSERT_EQ(m.rival(i), w.rival) << pair << " " << i; }
+        if (w.score >= 0) {
+          ASSERT_EQ(m.rival(i), w.rival) << pair << " " << i;
+          ASSERT_EQ(m.row_difference(i), w.rows) << pair << " " << i;
+        }
         some += static_cast<int>(w.score >= 0);
         rivals += w.rival;
       }

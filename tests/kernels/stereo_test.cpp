@@ -55,6 +55,7 @@ struct match {
   float right_x, depth;
   int score;
   int rival = 0;
+  float rows = 0;  ///< row_difference
 };
 
 inline float product(float a, float b) {
@@ -200,6 +201,7 @@ protected:
     auto const depth = test::column<ft::field::depth>(exec, out.view());
     auto const score = test::column<ft::field::score>(exec, out.view());
     auto const rival = test::column<ft::field::rival>(exec, out.view());
+    auto const rows_apart = test::column<ft::field::row_difference>(exec, out.view());
     auto const count = test::from_exec(exec, static_cast<int const*>(out.view().count),
                                        static_cast<std::size_t>(pairs));
     std::vector<std::vector<match>> all(static_cast<std::size_t>(pairs));
@@ -208,7 +210,9 @@ protected:
         std::size_t const at =
             p * static_cast<std::size_t>(kp.capacity) + static_cast<std::size_t>(i);
         if (i < count[p]) {
-          all[p].push_back({x[at], depth[at], score[at], depth[at] > 0 ? rival[at] : 0});
+          bool const is = depth[at] > 0;
+          all[p].push_back(
+              {x[at], depth[at], score[at], is ? rival[at] : 0, is ? rows_apart[at] : 0.0f});
         } else {
           EXPECT_EQ(x[at], -1) << "entries without a keypoint are no match";
           EXPECT_EQ(depth[at], -1);
@@ -366,6 +370,23 @@ TYPED_TEST(stereo_unit, descriptors_too_far_apart_do_not_match) {
     auto const all = this->run(orb.pyramid(), kp.view());
     ASSERT_EQ(all[0].size(), 1u);
     EXPECT_EQ(all[0][0].depth > 0, bits < 75) << bits;
+  }
+}
+
+TYPED_TEST(stereo_unit, how_far_rows_are_apart_is_told) {
+  auto views = shifted_pair(10, 72);
+  for (auto& p : views.second) { p = static_cast<std::uint8_t>(std::min(255, p + 3)); }
+  auto orb = this->extractor(1);
+  this->extract(orb, {views.first, views.second});
+  keypoint const left{150, 100, 0, {{1, 2, 3, 4, 5, 6, 7, 8}}};
+  for (float y : {100.0f, 101.5f, 97.75f, 102.0f}) {
+    keypoint right = left;
+    right.x = 140;
+    right.y = y;
+    auto const kp = this->upload({left}, {right}, 4);
+    auto const all = this->run(orb.pyramid(), kp.view());
+    ASSERT_GT(all[0][0].depth, 0) << y;
+    EXPECT_EQ(all[0][0].rows, y - 100) << y;
   }
 }
 

@@ -241,6 +241,8 @@ TEST(WarningsOfFrames, EachHasItsCause) {
          t.evidence.facts.off_disparity = 60;
        }},
       {warning::stereo_inconsistent, [](ft::tracking& t) { t.evidence.ambiguous = 63; }},
+      {warning::stereo_inconsistent, [](ft::tracking& t) { t.evidence.rows_apart = 1.1; }},
+      {warning::stereo_inconsistent, [](ft::tracking& t) { t.evidence.rows_apart = -1.1; }},
       {warning::depth_scale, [](ft::tracking& t) { t.distant_points = 300; }},
       {warning::dark, [](ft::tracking& t) { t.light.mean = 15; }},
       {warning::bright, [](ft::tracking& t) { t.light.mean = 240; }},
@@ -296,6 +298,7 @@ TEST(WarningsOfFrames, WhatIsRightHasNone) {
         t.evidence.streaked = 1;
       },
       [](ft::tracking& t) { t.evidence.ambiguous = 62; },  // an eighth, rounded down
+      [](ft::tracking& t) { t.evidence.rows_apart = -1; },
       // Two cameras that look past each other.
       [](ft::tracking& t) {
         t.evidence.rectified = false;

@@ -17,11 +17,21 @@ FT_FIELD(score, int);      ///< sum of absolute differences of the refinement; -
 /// 1 = another right keypoint, elsewhere on the rows, is as near. Written where right keypoints are
 /// compared by rows; of those without a match it means nothing.
 FT_FIELD(rival, int);
+/// The row of the right keypoint less that of the left one, pixels; written, and meant, likewise.
+FT_FIELD(row_difference, float);
 }  // namespace field
 
-using stereo_matches_view = soa_view<field::right_x, field::depth, field::score, field::rival>;
+using stereo_matches_view =
+    soa_view<field::right_x, field::depth, field::score, field::rival, field::row_difference>;
 template <memory_space Space>
-using stereo_matches = soa<Space, field::right_x, field::depth, field::score, field::rival>;
+using stereo_matches =
+    soa<Space, field::right_x, field::depth, field::score, field::rival, field::row_difference>;
+
+/// What rows say of matches, [pairs][capacity]. Null of pairs that are not rectified.
+struct row_facts {
+  int const* rival = nullptr;             ///< field::rival
+  float const* row_difference = nullptr;  ///< field::row_difference
+};
 
 // Stereo partners and points of two cameras without rectification.
 

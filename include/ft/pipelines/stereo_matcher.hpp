@@ -112,6 +112,10 @@ public:
   int const* rival() const {
     return Rig::rectified ? array_of<field::rival>(memory_->matches) : nullptr;
   }
+  /// [pairs][capacity] field::row_difference; null likewise
+  float const* row_difference() const {
+    return Rig::rectified ? array_of<field::row_difference>(memory_->matches) : nullptr;
+  }
   std::size_t bytes() const { return memory_.bytes(); }  ///< of executor memory
   /// Of camera c of a rig.
   stereo_params const& params(int c = 0) const { return params_.of_pair(c); }

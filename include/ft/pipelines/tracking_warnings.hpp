@@ -43,12 +43,13 @@ struct warning_limits {
   double goes_on = 0.5;
   double dark_mean = 16;
   double bright_mean = 239;
-  double least_deviation = 5;          ///< of grey values
-  int few_keypoints = 120;             ///< of all cameras, with less than which an image is blurred
-  double least_stereo_share = 0.3;     ///< of keypoints of a rectified pair with a stereo match
-  double stereo_drop = 0.65;           ///< or of that share, as a share of the usual one
-  double ambiguous_share = 0.125;      ///< of depths, above which the scene repeats along the rows
-  int moving_points = 20;              ///< that move otherwise than the rest, at least
+  double least_deviation = 5;       ///< of grey values
+  int few_keypoints = 120;          ///< of all cameras, with less than which an image is blurred
+  double least_stereo_share = 0.3;  ///< of keypoints of a rectified pair with a stereo match
+  double stereo_drop = 0.65;        ///< or of that share, as a share of the usual one
+  double ambiguous_share = 0.125;   ///< of depths, above which the scene repeats along the rows
+  double rows_apart = 1;   ///< pixels, of partners: half of what is searched, in the finest octave
+  int moving_points = 20;  ///< that move otherwise than the rest, at least
   double moving_share = 1.0 / 16;      ///< and as a share of all that are fixed to a camera
   std::int64_t stays_ns = 1000000000;  ///< a doubt about a pose is one about the second after it
 };
@@ -125,6 +126,10 @@ inline bool has_odd_stereo(tracking const& t, warning_limits const& limits) {
   int const n = t.evidence.ambiguous;
   if (n >= limits.moving_points && n > limits.ambiguous_share * t.stereo_points) { return true; }
   if (t.depths != depth_origin::stereo) { return false; }
+  if (t.stereo_points >= limits.moving_points &&
+      std::abs(t.evidence.rows_apart) > limits.rows_apart) {
+    return true;
+  }
   if (t.keypoints < limits.few_keypoints) { return false; }
   double const share = t.evidence.stereo_share;
   return (t.evidence.rectified && share < limits.least_stereo_share) ||
@@ -249,6 +254,11 @@ inline std::string share_of(double part, double of) {
   return std::to_string(of > 0 && part > 0 ? static_cast<int>(100 * part / of) : 0) + " %";
 }
 
+inline std::string tenths(double v) {
+  int const n = static_cast<int>(std::lround(10 * std::abs(v)));
+  return (v < 0 ? "-" : "") + std::to_string(n / 10) + "." + std::to_string(n % 10);
+}
+
 /// What to ask of a pair that does not fit. Images that never had many matches are not late ones.
 inline std::string stereo_question(tracking_evidence const& e) {
   bool const had_many = e.usual_stereo_share >= warning_limits{}.least_stereo_share;
@@ -308,7 +318,9 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              std::to_string(f.off_disparity) + " of " + std::to_string(f.with_disparity) +
              " do not agree with the map; of the variance of their errors neighbours share " +
              detail::share_of(f.common_disparity, 1024) + ": " + detail::stereo_question(e) + " " +
-             std::to_string(e.ambiguous) + " depths may be others, for their rows repeat";
+             std::to_string(e.ambiguous) + " depths may be others, for their rows repeat, and " +
+             "partners in right images are " + detail::tenths(e.rows_apart) +
+             " pixels lower on average";
     case tracking_warning::depth_scale:
       return std::to_string(t.distant_points) + " of " + std::to_string(t.stereo_points) +
              " depths are beyond " + number(static_cast<double>(distant_baselines)) + " baselines";

@@ -59,8 +59,9 @@ enum class tracking_warning : int {
   two_motions,          ///< things move, or are fixed to a camera, in a large part of the images
   images_repeat,        ///< images are those of the frame before while the camera moves, or were
                         ///< and the next ones jump
-  stereo_inconsistent,  ///< depths do not agree with the map, hardly any keypoint has one, or the
-                        ///< scene repeats along the rows, so that they may be others
+  stereo_inconsistent,  ///< depths do not agree with the map, hardly any keypoint has one, rows
+                        ///< of a pair do not correspond, or the scene repeats along them, so that
+                        ///< depths may be others
   depth_scale,          ///< most depths are beyond distant_baselines
   dark,                 ///< an image is nearly black
   bright,               ///< an image is nearly white
@@ -112,14 +113,15 @@ struct frame_facts {
 
 /// What warnings are decided by, of one frame.
 struct tracking_evidence {
-  frame_facts facts;  ///< of matches and pose
-  int images = 0;     ///< of the rig
-  int same = 0;       ///< of these, those with the pixels of the frame before
-  int streaked = 0;   ///< and those that are sharp in one direction only
-  int textured = 0;   ///< parts of the images with contrast
-  int moved = 0;      ///< of these, those with another content than a frame before
-  int ambiguous = 0;  ///< of tracking::stereo_points, those whose rows of the right image have
-                      ///< another keypoint, elsewhere, that is as near; of rectified pairs
+  frame_facts facts;      ///< of matches and pose
+  int images = 0;         ///< of the rig
+  int same = 0;           ///< of these, those with the pixels of the frame before
+  int streaked = 0;       ///< and those that are sharp in one direction only
+  int textured = 0;       ///< parts of the images with contrast
+  int moved = 0;          ///< of these, those with another content than a frame before
+  int ambiguous = 0;      ///< of tracking::stereo_points, those whose rows of the right image have
+                          ///< another keypoint, elsewhere, that is as near; of rectified pairs
+  double rows_apart = 0;  ///< mean row of partners in right images less that in left ones, pixels
   double stereo_share = 0;  ///< of keypoints with a depth
   bool rectified = true;    ///< all of an image but its border is in a pair's other image, too
   double usual_stereo_share = 0;  ///< the same in the frames before; 0 = not known yet

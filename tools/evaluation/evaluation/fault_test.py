@@ -2,6 +2,7 @@
 """Tests of the faults, without ft: on a recording of a few lines."""
 import math
 import pathlib
+import re
 import tempfile
 import unittest
 
@@ -13,6 +14,7 @@ T_BS:
   rows: 4
   data: [{data}]
 rate_hz: {rate}
+intrinsics: [210.5, 211.5, 160.25, 120.75] #fu, fv, cu, cv
 """
 IDENTITY = "1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1"
 ASIDE = "0, -1, 0, 0.1, 1, 0, 0, 0.2, 0, 0, 1, 0.3, 0, 0, 0, 1"  # a quarter of a turn about z
@@ -83,6 +85,13 @@ class Faults(unittest.TestCase):
         self.assertEqual(self.shown(r, 0), list(range(40)))
         self.assertEqual(self.shown(r, 1), [0, *range(39)])
         self.assertEqual(self.stamps(r), list(range(40)))
+
+    def test_rows_are_apart(self):
+        r, before = self.changed(faults.rows_apart(2.5)), faults.Recording(self.source)
+        intrinsics = [re.search(r"intrinsics: \[(.*)\]", x.sensors["cam1"])[1].split(",") for x in (before, r)]
+        moved = [float(b) - float(a) for a, b in zip(*intrinsics)]
+        self.assertEqual(moved, [0, 0, 0, 2.5])
+        self.assertEqual(r.sensors["cam0"], before.sensors["cam0"])
 
     def test_images_are_repeated(self):
         both, left = self.changed(faults.repeated_images(0.5, 0.7)), self.changed(faults.repeated_images(0.5, 0.7, (0,)))

@@ -99,6 +99,18 @@ def late_right(frames=1):
     return apply
 
 
+def rows_apart(pixels):
+    """The right camera's calibration has its principal point so much too low: the rows of the pair do not correspond."""
+
+    def apply(r):
+        def lower(found):
+            return f"{found[1]}{float(found[2]) + pixels}]"
+
+        r.sensors["cam1"] = re.sub(r"(intrinsics: \[[^\]]*, )([^\],]*)\]", lower, r.sensors["cam1"])
+
+    return apply
+
+
 def repeated_images(begin_s, end_s, cameras=(0, 1)):
     """The image at the beginning is repeated until the end."""
 

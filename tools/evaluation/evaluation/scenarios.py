@@ -84,6 +84,7 @@ IMAGES = (
     ),
     Scenario("rolling_shutter", "rows are read in 33 ms", ("--readout", "33"), limits=(*WHOLE, *within(0.015))),
     Scenario("late_right", "the right image is one frame late", faults=(faults.late_right(),), limits=TRUTHFUL, least=TOLD),
+    Scenario("rows_apart", "rows of the pair are 2 pixels apart", faults=(faults.rows_apart(2),), limits=TRUTHFUL, least=TOLD),
     Scenario(
         "left_repeated", "the left image is the same for half a second",
         faults=(faults.repeated_images(4, 4.5, (0,)),), limits=TRUTHFUL, least=TOLD,

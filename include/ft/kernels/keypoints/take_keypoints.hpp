@@ -120,6 +120,7 @@ struct take_partner {
     out.depth(item) = depth;
     out.score(item) = right >= 0 || depth > 0 ? 0 : -1;
     out.rival(item) = 0;
+    out.row_difference(item) = 0;
   }
 
 private:

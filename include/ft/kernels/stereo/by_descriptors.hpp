@@ -104,6 +104,9 @@ struct keep_partner {
     out.right_x(item) = geometry.level_column(column, octave);
     out.depth(item) = geometry.level_depth((params.bf / disparity).value, octave);
     out.score(item) = static_cast<int>(best >> 32);
+    out.row_difference(item) =
+        (strict_float(geometry.row(right.y(j), right.octave(j))) - geometry.row(left.y(i), octave))
+            .value;
   }
 };
 

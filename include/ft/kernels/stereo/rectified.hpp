@@ -119,6 +119,7 @@ struct match_left_keypoint {
     out.right_x(item) = r.column.value;
     out.score(item) = r.score;
     out.rival(item) = rival ? 1 : 0;
+    out.row_difference(item) = right.y(j) - mine.y;
   }
 
 private:

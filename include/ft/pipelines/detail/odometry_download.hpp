@@ -85,6 +85,10 @@ inline tracking tracking_of(odometry_output const& o) {
   t.map_id = o.state == tracking_state::initialising ? 0 : o.maps;
   t.evidence.facts = o.facts;
   t.evidence.ambiguous = o.seen.ambiguous;
+  t.evidence.rows_apart = o.seen.with_depth > 0
+                              ? static_cast<double>(o.seen.rows_apart) / seen_counts::row_one /
+                                    static_cast<double>(o.seen.with_depth)
+                              : 0;
   t.evidence.images = o.seen.changes.images;
   t.evidence.same = o.seen.changes.same;
   t.evidence.textured = o.seen.changes.textured;

@@ -143,7 +143,7 @@ public:
   }
   /// Beside the search in the local map.
   void pack_depths(Exec const& exec) const {
-    depths_of_frames in{memory.frame, this->matcher.depth(), rival_of(this->matcher),
+    depths_of_frames in{memory.frame, this->matcher.depth(), row_facts_of(this->matcher),
                         memory.result.depth_cameras};
     in.distant = (this->rig.baseline_length() * distant_baselines).value;
     for_each_item<per_block<256>>(exec, own.state.batch, detail::pack_depths{}, in, own.seen);

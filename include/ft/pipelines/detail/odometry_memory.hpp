@@ -54,8 +54,10 @@ struct seen_counts {
   change_counts changes;
   int keypoints;
   int with_depth;
-  int distant;    ///< of with_depth, those beyond distant_baselines
-  int ambiguous;  ///< of with_depth, those with a field::rival
+  int distant;     ///< of with_depth, those beyond distant_baselines
+  int ambiguous;   ///< of with_depth, those with a field::rival
+  int rows_apart;  ///< of with_depth, the sum of field::row_difference, 1 / row_one pixels
+  static constexpr int row_one = 16;
 };
 
 /// What the host reads of a camera after a frame.

@@ -7,6 +7,7 @@
 
 #include "ft/containers/frame.hpp"
 #include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/atomics.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
@@ -26,7 +27,7 @@ namespace detail {
 struct depths_of_frames {
   frame_view frame;
   float const* depth;     ///< [batch][depth_cameras * capacity] metres
-  int const* rival;       ///< likewise, field::rival; null = no pairs are rectified
+  row_facts rows;         ///< likewise
   int depth_cameras = 1;  ///< the first cameras, whose keypoints may have a depth
   float distant = 0;      ///< depth of distant points, metres
 };
@@ -97,7 +98,7 @@ struct pack_depths {
   FT_HOST_DEVICE void operator()(Group g, scratch&, int b, depths_of_frames const& in,
                                  seen_counts* to) const {
     int all = 0;
-    four_sums n{};  // with a depth, distant, ambiguous
+    four_sums n{};  // with a depth, distant, ambiguous, differences of rows
     for (int c = 0; c < in.depth_cameras; ++c) {
       int const count = *in.frame.camera(b, c).count;
       std::ptrdiff_t const first =
@@ -106,7 +107,9 @@ struct pack_depths {
       for (int i = g.rank(); i < count; i += g.size()) {
         n.of[0] += static_cast<int>(depth[i] > 0);
         n.of[1] += static_cast<int>(depth[i] > in.distant);
-        if (in.rival != nullptr && depth[i] > 0) { n.of[2] += in.rival[first + i]; }
+        if (in.rows.rival == nullptr || !(depth[i] > 0)) { continue; }
+        n.of[2] += in.rows.rival[first + i];
+        n.of[3] += round_away(mul(float{seen_counts::row_one}, in.rows.row_difference[first + i]));
       }
       all += count;
     }
@@ -117,6 +120,7 @@ struct pack_depths {
     out.with_depth = n.of[0];
     out.distant = n.of[1];
     out.ambiguous = n.of[2];
+    out.rows_apart = n.of[3];
   }
 };
 

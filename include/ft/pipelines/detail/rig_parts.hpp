@@ -9,6 +9,7 @@
 
 #include "ft/cameras/multi_rig.hpp"
 #include "ft/containers/image_pyramid.hpp"
+#include "ft/containers/stereo_matches.hpp"
 #include "ft/core/config.hpp"
 #include "ft/core/execution.hpp"
 #include "ft/kernels/images/undistort.hpp"
@@ -101,14 +102,14 @@ keypoint_grids<Rig::rectified> grids_of(stereo_matcher<Exec, Rig> const& matcher
   return {cells, matcher.right_rows()};
 }
 
-/// field::rival of rigs whose depths are all those of rectified pairs, else null.
+/// Those of rigs whose depths are all those of rectified pairs.
 template <typename Exec, typename Rig>
-int const* rival_of(stereo_matcher<Exec, Rig> const& matcher) {
-  return matcher.rival();
+row_facts row_facts_of(stereo_matcher<Exec, Rig> const& matcher) {
+  return {matcher.rival(), matcher.row_difference()};
 }
 template <typename Matcher>
-int const* rival_of(Matcher const&) {
-  return nullptr;
+row_facts row_facts_of(Matcher const&) {
+  return {};
 }
 
 }  // namespace detail

@@ -108,13 +108,10 @@ public:
   float const* depth() const {
     return Rig::rectified ? array_of<field::depth>(memory_->matches) : memory_->fisheye.depth;
   }
-  /// [pairs][capacity] field::rival; null if the rig is not rectified
-  int const* rival() const {
-    return Rig::rectified ? array_of<field::rival>(memory_->matches) : nullptr;
-  }
-  /// [pairs][capacity] field::row_difference; null likewise
-  float const* row_difference() const {
-    return Rig::rectified ? array_of<field::row_difference>(memory_->matches) : nullptr;
+  row_facts rows() const {
+    stereo_matches_view const& m = memory_->matches;
+    if constexpr (!Rig::rectified) { return {}; }
+    return {array_of<field::rival>(m), array_of<field::row_difference>(m)};
   }
   std::size_t bytes() const { return memory_.bytes(); }  ///< of executor memory
   /// Of camera c of a rig.

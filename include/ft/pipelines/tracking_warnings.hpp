@@ -319,8 +319,8 @@ inline std::string text_of(tracking_warning w, tracking const& t, odometry_param
              " do not agree with the map; of the variance of their errors neighbours share " +
              detail::share_of(f.common_disparity, 1024) + ": " + detail::stereo_question(e) + " " +
              std::to_string(e.ambiguous) + " depths may be others, for their rows repeat, and " +
-             "partners in right images are " + detail::tenths(e.rows_apart) +
-             " pixels lower on average";
+             "rows in right images are those in left ones plus " + detail::tenths(e.rows_apart) +
+             " pixels on average";
     case tracking_warning::depth_scale:
       return std::to_string(t.distant_points) + " of " + std::to_string(t.stereo_points) +
              " depths are beyond " + number(static_cast<double>(distant_baselines)) + " baselines";

@@ -102,10 +102,10 @@ keypoint_grids<Rig::rectified> grids_of(stereo_matcher<Exec, Rig> const& matcher
   return {cells, matcher.right_rows()};
 }
 
-/// Those of rigs whose depths are all those of rectified pairs.
+/// Null but of rigs whose depths are all those of rectified pairs.
 template <typename Exec, typename Rig>
 row_facts row_facts_of(stereo_matcher<Exec, Rig> const& matcher) {
-  return {matcher.rival(), matcher.row_difference()};
+  return matcher.rows();
 }
 template <typename Matcher>
 row_facts row_facts_of(Matcher const&) {
